@@ -2,7 +2,7 @@
 //! needs and runs it.
 //!
 //! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`,
-//! `relight`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
+//! `relight`, `field`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
 //! keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
@@ -11,6 +11,7 @@
 mod bakes;
 mod calls;
 mod farm;
+mod field;
 mod idle;
 #[path = "../../server/tests/model/mod.rs"]
 mod model;
@@ -26,7 +27,7 @@ mod stores;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 10] = [
+const PARTS: [(&str, fn()); 11] = [
     ("stores", stores::measure),
     ("queue", queue::measure),
     ("idle", idle::measure),
@@ -37,6 +38,7 @@ const PARTS: [(&str, fn()); 10] = [
     ("rays", rays::measure),
     ("bakes", bakes::measure),
     ("relight", relight::measure),
+    ("field", field::measure),
 ];
 
 fn main() {

@@ -30,6 +30,15 @@ impl Lattice<'_> {
     }
 }
 
+/// Tetrahedra between probes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tetrahedra<'a> {
+    /// Places of vertices in metres: probes, then corners of the box around them, which have no light.
+    pub places_m: &'a [Vec4],
+    /// Vertices of each.
+    pub vertices: &'a [[u32; 4]],
+}
+
 /// The probes.
 pub trait FreeSpace: Debug + Sync {
     /// Distance between neighbours in metres, about.
@@ -37,6 +46,9 @@ pub trait FreeSpace: Debug + Sync {
 
     /// Their lattice, if they stand on one.
     fn lattice(&self) -> Option<Lattice<'_>>;
+
+    /// The tetrahedra between them, if that is what they have.
+    fn tetrahedra(&self) -> Option<Tetrahedra<'_>>;
 
     /// Places in metres, also of probes that belong to no point.
     fn positions_m(&self) -> &[Vec4];

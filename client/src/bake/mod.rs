@@ -17,7 +17,7 @@ use crate::fetch::Source;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 
 pub use errors::{COLUMNS, FULL_COLOUR, MeasuredErrors};
-pub use free_space::{FreeSpace, Lattice, NO_PROBE, PROBE_COEFFICIENTS};
+pub use free_space::{FreeSpace, Lattice, NO_PROBE, PROBE_COEFFICIENTS, Tetrahedra};
 pub use kind::{ClientKind, ClientKinds};
 pub use light::{
     DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, Overlay, ReceiverBuffers,

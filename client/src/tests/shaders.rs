@@ -34,7 +34,8 @@ fn shaders() -> Vec<(&'static str, String)> {
         ("shade with a field on a lattice", with(field::IN_LATTICE)),
         ("shade with a field in tetrahedra", with(field::IN_TETRAHEDRA)),
     ];
-    of_browsers.chain([("relight", relight::SHADER.to_owned())]).chain(fields).collect()
+    let others = [("relight", relight::SHADER), ("dering", field::DERING_SHADER)];
+    of_browsers.chain(others.map(|(name, source)| (name, source.to_owned()))).chain(fields).collect()
 }
 
 fn parsed(source: &str) -> naga::Module {

@@ -1,7 +1,9 @@
 //! Light at probes in free space, for engines that light moving objects by volumes of their own: `EXPORT.md` says what each file holds.
 
+mod bsp;
 mod cube;
 mod ddgi;
+mod godot;
 #[cfg(test)]
 mod tests;
 mod unity;
@@ -25,11 +27,13 @@ pub enum ProbeFormat {
     Unity,
     /// Octahedral maps of irradiance and of distances.
     Ddgi,
+    /// Harmonics at the corners of tetrahedra, as Godot reads them.
+    Godot,
 }
 
 impl ProbeFormat {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Cube, Self::Unity, Self::Ddgi];
+    pub const ALL: [Self; 4] = [Self::Cube, Self::Unity, Self::Ddgi, Self::Godot];
 
     /// Name on command lines.
     fn name(self) -> &'static str {
@@ -37,6 +41,7 @@ impl ProbeFormat {
             Self::Cube => "cube",
             Self::Unity => "unity",
             Self::Ddgi => "ddgi",
+            Self::Godot => "godot",
         }
     }
 }
@@ -58,7 +63,8 @@ pub struct ProbeFiles {
 
 /// Whether a file of that name is one of these.
 pub fn is_file(name: &str) -> bool {
-    [cube::FILE, unity::FILE, ddgi::IRRADIANCE_FILE, ddgi::DISTANCE_FILE, ddgi::PROBES_FILE].contains(&name)
+    let of_ddgi = [ddgi::IRRADIANCE_FILE, ddgi::DISTANCE_FILE, ddgi::PROBES_FILE];
+    of_ddgi.contains(&name) || [cube::FILE, unity::FILE, godot::FILE].contains(&name)
 }
 
 /// The files of probes under the light that they have, in these formats. Errs where light is no number.
@@ -85,6 +91,7 @@ pub fn files(space: &dyn FreeSpace, light: &[Vec4], formats: &[ProbeFormat]) -> 
     for format in ProbeFormat::ALL.iter().filter(|format| formats.contains(format)) {
         match format {
             ProbeFormat::Unity => unity::write(&volume, &mut found.files, &mut extras),
+            ProbeFormat::Godot => godot::write(&volume, &mut found.files, &mut extras),
             ProbeFormat::Cube | ProbeFormat::Ddgi if space.lattice().is_none() => {
                 let name = format.name();
                 found.warnings.push(format!(
@@ -152,6 +159,12 @@ impl<'a> Volume<'a> {
     /// Coefficients of a probe.
     fn coefficients(&self, probe: u32) -> &[Vec4] {
         &self.light[PROBE_COEFFICIENTS * probe as usize..][..PROBE_COEFFICIENTS]
+    }
+
+    /// Likewise, as an array.
+    fn rows(&self, probe: u32) -> [Vec4; PROBE_COEFFICIENTS] {
+        let own = self.coefficients(probe);
+        std::array::from_fn(|j| own[j])
     }
 
     /// Irradiance at a probe in W·m⁻², which truncation may leave below 0.

@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::ddgi::{DISTANCE_SIDE, IRRADIANCE_SIDE, direction_of, inside_of};
 use super::*;
-use crate::bake::{LoadedBake, ReceiverLight};
+use crate::bake::{LoadedBake, ReceiverLight, Tetrahedra};
 use crate::fixture;
 use crate::preview::{Backend, light_receivers};
 
@@ -248,6 +248,121 @@ fn distances_are_those_of_walls_and_states_those_of_probes() {
     }
 }
 
+/// What Godot reads of a resource.
+struct GodotData {
+    bounds: Vec<f32>,
+    bsp: Vec<i32>,
+    points: Vec<f32>,
+    sh: Vec<f32>,
+    tetrahedra: Vec<i32>,
+}
+
+impl GodotData {
+    fn of(files: &ProbeFiles) -> Self {
+        let (_, bytes) = files.files.iter().find(|(name, _)| name == godot::FILE).unwrap();
+        let text = std::str::from_utf8(bytes).unwrap();
+        assert!(
+            text.starts_with(
+                "[gd_resource type=\"LightmapGIData\" format=3]\n\n[resource]\nprobe_data = {\n"
+            )
+        );
+        fn numbers<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str, name: &str, of: &str) -> Vec<T> {
+            let (_, rest) = text.split_once(&format!("\"{name}\": {of}(")).unwrap();
+            let (inside, _) = rest.split_once(')').unwrap();
+            inside.split(", ").map(|number| number.parse().unwrap()).collect()
+        }
+        Self {
+            bounds: numbers(text, "bounds", "AABB"),
+            bsp: numbers(text, "bsp", "PackedInt32Array"),
+            points: numbers(text, "points", "PackedVector3Array"),
+            sh: numbers(text, "sh", "PackedColorArray"),
+            tetrahedra: numbers(text, "tetrahedra", "PackedInt32Array"),
+        }
+    }
+
+    /// Tetrahedron that the tree leads to.
+    fn walk(&self, at_m: Vec3) -> usize {
+        let mut node = 0;
+        while node >= 0 {
+            let own = &self.bsp[6 * node as usize..][..6];
+            let [x, y, z, d] = [0, 1, 2, 3].map(|j| f32::from_bits(own[j] as u32));
+            node = if Vec3::new(x, y, z).dot(at_m) > d + 1e-5 { own[4] } else { own[5] };
+        }
+        assert_ne!(node, bsp::EMPTY, "nothing is at {at_m}");
+        (-1 - node) as usize
+    }
+
+    /// Barycentric coordinates of a point, and how far it lies out of the tetrahedron.
+    fn shares(&self, tetrahedron: usize, at_m: Vec3) -> ([f32; 4], f32) {
+        let [a, b, c, d] =
+            self.vertices(tetrahedron).map(|vertex| Vec3::from_slice(&self.points[3 * vertex..]));
+        let volume = |a: Vec3, b: Vec3, c: Vec3, d: Vec3| (b - a).cross(c - a).dot(d - a);
+        let parts =
+            [volume(at_m, b, c, d), volume(a, at_m, c, d), volume(a, b, at_m, d), volume(a, b, c, at_m)];
+        let shares = parts.map(|part| part / volume(a, b, c, d));
+        (shares, shares.iter().fold(0.0, |out, share| out.max(-share)))
+    }
+
+    fn vertices(&self, tetrahedron: usize) -> [usize; 4] {
+        std::array::from_fn(|j| self.tetrahedra[4 * tetrahedron + j] as usize)
+    }
+
+    /// E at a point and normal, as its instances and shaders make it, and how far the point lies out of its tetrahedron.
+    fn irradiance(&self, at_m: Vec3, n: Vec3) -> (Vec3, f32) {
+        let tetrahedron = self.walk(at_m);
+        let (shares, out) = self.shares(tetrahedron, at_m);
+        let vertices = self.vertices(tetrahedron);
+        let sh = |j: usize| -> Vec3 {
+            let row = |vertex: usize| Vec3::from_slice(&self.sh[4 * (9 * vertex + j)..]);
+            vertices.iter().zip(shares).map(|(vertex, share)| row(*vertex) * share.clamp(0.0, 1.0)).sum()
+        };
+        let ambient = 0.886_227 * sh(0)
+            + 1.023_327 * (sh(1) * n.y + sh(2) * n.z + sh(3) * n.x)
+            + 0.858_086 * (sh(4) * n.x * n.y + sh(5) * n.y * n.z + sh(7) * n.x * n.z)
+            + 0.247_708 * sh(6) * (3.0 * n.z * n.z - 1.0)
+            + 0.429_043 * sh(8) * (n.x * n.x - n.y * n.y);
+        (PI * ambient, out)
+    }
+}
+
+#[test]
+fn tetrahedra_are_walked_and_read_as_godot_does() {
+    for is_lattice in [true, false] {
+        let bake = fixture::field_bake(is_lattice);
+        let light = settled(&bake).probes;
+        let space = bake.light.free_space().unwrap();
+        let data = GodotData::of(&files(space, &light, &[ProbeFormat::Godot]).unwrap());
+        let volume = Volume::new(space, &light);
+        // At probes it is their own light; a lattice is exported as if none were moved.
+        for probe in volume.probes() {
+            let at_m = space.positions_m()[probe as usize].truncate();
+            let away = at_m / space.spacing_m() - (at_m / space.spacing_m()).round();
+            if is_lattice && away.abs().max_element() > 1e-4 {
+                continue;
+            }
+            for normal in normals().take(16) {
+                let wanted = volume.irradiance(probe, &harmonics([normal])[0]);
+                let (found, out) = data.irradiance(at_m, normal);
+                let is_near = (found - wanted).length() < 1e-4 * wanted.length().max(0.1);
+                assert!(is_near && out < 1e-4, "{found} for {wanted}, lattice: {is_lattice}");
+            }
+        }
+        // A point that lies in a tetrahedron is led to one that it lies in.
+        let (low_m, size_m) = (Vec3::from_slice(&data.bounds), Vec3::from_slice(&data.bounds[3..]));
+        let mut within = 0;
+        for step in 0..2000 {
+            let along = step as f32 / 2000.0;
+            let at_m = low_m + size_m * Vec3::new(along, (7.1 * along).fract(), (0.5 + 3.3 * along).fract());
+            let (_, out) = data.irradiance(at_m, Vec3::Y);
+            if (0..data.tetrahedra.len() / 4).any(|other| data.shares(other, at_m).1 < 1e-6) {
+                assert!(out < 1e-3, "{out} out of the tetrahedron at {at_m}, lattice: {is_lattice}");
+                within += 1;
+            }
+        }
+        assert!(within > 1000, "{within} of 2000 points lie in tetrahedra");
+    }
+}
+
 #[derive(Debug)]
 struct Sparse {
     probe_at: Vec<u32>,
@@ -270,6 +385,10 @@ impl FreeSpace for Sparse {
         })
     }
 
+    fn tetrahedra(&self) -> Option<Tetrahedra<'_>> {
+        None
+    }
+
     fn positions_m(&self) -> &[Vec4] {
         &self.positions_m
     }
@@ -289,7 +408,7 @@ fn points_without_a_probe_take_that_of_the_nearest_and_wrong_light_is_refused() 
     assert_eq!(volume.probe_of, [1, 1, 0, 1, 1, 0, 1, 0, 0, 1, 0, 0]);
     assert_eq!(volume.lattice.point(8), IVec3::new(1, -1, 0));
     let all = files(&sparse, &light, &ProbeFormat::ALL).unwrap();
-    assert_eq!(all.files.len(), 5);
+    assert_eq!(all.files.len(), 6);
     assert!(all.files.iter().all(|(name, _)| is_file(name)) && all.warnings.is_empty());
     let one = files(&sparse, &light, &[ProbeFormat::Unity]).unwrap();
     assert_eq!(one.files.len(), 1);

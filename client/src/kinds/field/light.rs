@@ -9,7 +9,7 @@ use lightkiln_proto::relight::{
 use super::passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA};
 use crate::bake::{
     self, DebugPage, FreeSpace, IncomingDirect, Lattice, Light, LightPasses, LitScene, Overlay, SettledLight,
-    SettledReceivers, Unshadowed, UnshadowedArrays,
+    SettledReceivers, Tetrahedra, Unshadowed, UnshadowedArrays,
 };
 use crate::error::Result;
 use crate::lightmap::{LightmapLight, Lit};
@@ -64,6 +64,11 @@ impl FreeSpace for FieldTable {
         let Between::Lattice(lattice) = &self.between else { return None };
         let (low, size) = (lattice.low, lattice.size);
         Some(Lattice { spacing_m: self.spacing_m, low, size, probe_at: &lattice.probe_at })
+    }
+
+    fn tetrahedra(&self) -> Option<Tetrahedra<'_>> {
+        let Between::Tetrahedra(table) = &self.between else { return None };
+        Some(Tetrahedra { places_m: &table.places_m, vertices: &table.vertices })
     }
 
     fn positions_m(&self) -> &[Vec4] {

@@ -1,5 +1,6 @@
 //! Relightable light over surface patches, with a field: light at probes in free space, for what has no lightmap.
 
+mod dering;
 mod light;
 mod passes;
 
@@ -10,6 +11,7 @@ use crate::error::{ClientError, Result};
 use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
 
+pub use dering::SHADER as DERING_SHADER;
 pub use light::FieldLight;
 pub use passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA, LatticeNumbers, TOLERANCE, TetrahedraNumbers};
 

@@ -7,6 +7,7 @@ use lightkiln_proto::kinds::field::{
 use lightkiln_proto::relight::{LodPlan, LodTable};
 
 use super::FieldLight;
+use super::dering::DeringPass;
 use crate::bake::{LightPasses, ReceiverBuffers, UnshadowedArrays};
 use crate::error::Result;
 use crate::lightmap::LightmapPasses;
@@ -81,6 +82,7 @@ pub struct FieldPasses {
     lightmap: LightmapPasses,
     basis: BasisPass,
     reconstruct: ReconstructPass,
+    dering: DeringPass,
     /// Coefficients straight from emitters.
     direct: wgpu::Buffer,
     /// Coefficients at probes.
@@ -105,6 +107,7 @@ impl FieldPasses {
         Ok(Self {
             basis: BasisPass::new(gpu, &field.clusters, [&lightmap.resident.lambda, &b], &detail)?,
             reconstruct: ReconstructPass::new(gpu, &field.clusters, arrays)?,
+            dering: DeringPass::new(gpu, &rows, PROBE_ROWS * field.len())?,
             numbers: numbers(gpu, field),
             probes: gpu.storage("probes", &words(field))?,
             lightmap,
@@ -199,6 +202,7 @@ impl LightPasses for FieldPasses {
         self.lightmap.publish(encoder);
         self.basis.record(&mut encoder.compute("basis of probes"));
         self.reconstruct.record(&mut encoder.compute("light at probes"));
+        self.dering.record(&mut encoder.compute("dering"));
     }
 
     fn make_paint(&mut self, gpu: &Gpu) -> Result<()> {

@@ -71,6 +71,8 @@ pub enum ProbesName {
     Unity,
     /// Octahedral maps of irradiance and of distances: shaders of dynamic diffuse global illumination
     Ddgi,
+    /// Spherical harmonics at the corners of tetrahedra: Godot
+    Godot,
 }
 
 /// Writes the export.
@@ -161,6 +163,7 @@ impl From<ProbesName> for ProbeFormat {
             ProbesName::Cube => Self::Cube,
             ProbesName::Unity => Self::Unity,
             ProbesName::Ddgi => Self::Ddgi,
+            ProbesName::Godot => Self::Godot,
         }
     }
 }

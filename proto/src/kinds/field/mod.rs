@@ -4,6 +4,7 @@
 
 mod chunk;
 mod content;
+mod dering;
 mod lattice;
 mod mesh_chunk;
 mod octahedron;
@@ -21,6 +22,7 @@ pub use chunk::{EncodedField, FIELD as FIELD_CHUNK, PART_PROBES_MAX, ROW, decode
 pub use content::{
     FieldPart, LATTICE_MAX, MOVE_SHARE, MOVES_MAX, PROBE_ROWS, Probe, ProbeKey, depth_code, depth_of,
 };
+pub use dering::{deringed, looks};
 pub use lattice::{LatticeTable, NO_PROBE};
 pub use mesh_chunk::{MESH, ROW as MESH_ROW, TETRAHEDRA_MAX, decode_tetrahedra, encode_tetrahedra};
 pub use octahedron::{MAP_POINTS, MAP_SIDE, map_direction, map_points, octahedral_length};

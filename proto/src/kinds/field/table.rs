@@ -5,6 +5,7 @@ use std::sync::LazyLock;
 use glam::{Vec3, Vec4};
 
 use super::content::{FieldPart, PROBE_ROWS, depth_of};
+use super::dering::deringed;
 use super::lattice::LatticeTable;
 use super::octahedron::{MAP_POINTS, map_points, octahedral_length};
 use super::tetrahedra::{TetrahedraTable, TetrahedronSet};
@@ -104,11 +105,11 @@ impl FieldTable {
         self.position_m.is_empty()
     }
 
-    /// Coefficients of irradiance at probes, [`PROBE_ROWS`] each, W·m⁻², with the light of emitters of that scale.
+    /// Coefficients of irradiance at probes, [`PROBE_ROWS`] each, W·m⁻², with the light of emitters of that scale, without ringing.
     pub fn relit(&self, parallel: &impl Parallel, lambda: &[Vec4], emitter_scale: &[f32]) -> Vec<Vec4> {
         let direct = self.emitters.irradiance(PROBE_ROWS * self.len(), emitter_scale);
         let b = self.clusters.basis(parallel, lambda);
-        self.clusters.reconstruct(parallel, &b, &direct, None)
+        deringed(parallel, &self.clusters.reconstruct(parallel, &b, &direct, None))
     }
 
     /// Reciprocal octahedral distance of the nearest surface that a probe sees in a direction, 0 where there is none.

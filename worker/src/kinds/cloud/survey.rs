@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::delaunay::tetrahedra;
 use crate::geometry::Geometry;
-use crate::kinds::field::{Place, Survey, Tessellation, lattice, place, points, spacing_m};
+use crate::kinds::field::{Place, Survey, Tessellation, Volume, lattice, place, points, spacing_m};
 use crate::rays::sampling::seed_of;
 use crate::task::{Cancelled, Progress, TaskError};
 
@@ -30,16 +30,16 @@ const PLACES_MAX: u64 = 1 << 23;
 /// Steps from the outermost places to the box around all probes.
 const MARGIN: i32 = 3;
 
-/// Probes of a scene within its near bounds, and the tetrahedra between them and the corners of a box around these.
+/// Probes of a scene in its volume, and the tetrahedra between them and the corners of a box around these.
 pub fn survey(
     geometry: &Geometry,
     settings: &FieldSettings,
     progress: &Progress,
 ) -> Result<Survey, TaskError> {
-    let bounds_m = geometry.near_bounds_m();
-    let spacing_m = spacing_m(bounds_m, settings);
+    let spacing_m = spacing_m(geometry.near_bounds_m(), settings);
+    let volume = Volume::of(geometry, spacing_m);
     let step_m = spacing_m / STEPS;
-    let (low, size) = lattice(bounds_m, step_m);
+    let (low, size) = lattice(volume.outer_m(), step_m);
     let count = points(size);
     let ends = [low, low.saturating_add(size)].map(|end| end.to_array());
     let reach = ends.iter().flatten().map(|along| along.unsigned_abs()).max().unwrap_or_default();
@@ -55,7 +55,7 @@ pub fn survey(
     }
     let mut survey = Survey { spacing_m, step_m, ..Survey::default() };
     progress.casting(|| {
-        let mut places = places(geometry, step_m, (low, size), bounds_m, progress)?;
+        let mut places = places(geometry, &volume, step_m, (low, size), progress)?;
         progress.begin(0.0, 1.0, (1 + u64::from(ROUNDS)) * places.len() as u64);
         thin(geometry, &mut survey, &mut places, progress)?;
         for _ in 0..ROUNDS {
@@ -71,13 +71,13 @@ pub fn survey(
     Ok(survey)
 }
 
-/// Places within the bounds, those beside surfaces first, each group in the order of hashes: between probes beside surfaces light is told,
+/// Places of the volume, those beside surfaces first, each group in the order of hashes: between probes beside surfaces light is told,
 /// beyond the outermost it is guessed.
 fn places(
     geometry: &Geometry,
+    volume: &Volume<'_>,
     step_m: f32,
     (low, size): (IVec3, IVec3),
-    [low_m, high_m]: [Vec3; 2],
     progress: &Progress,
 ) -> Result<Vec<ProbeKey>, Cancelled> {
     let [x, y] = [size.x as u64, size.y as u64];
@@ -87,9 +87,8 @@ fn places(
         progress.check()?;
         let Some(key) = ProbeKey::of(point(index)) else { return Ok(None) };
         let at_m = position_m(key, step_m);
-        let is_within = at_m.cmpge(low_m).all() && at_m.cmple(high_m).all();
-        let is_inner = is_within && !is_beside(geometry, at_m, BESIDE * step_m);
-        Ok(is_within.then(|| (is_inner, seed_of(&[key.0, 13]), key)))
+        let order = || (!is_beside(geometry, at_m, BESIDE * step_m), seed_of(&[key.0, 13]), key);
+        Ok(volume.holds(at_m).then(order))
     };
     let all = (0..points(size)).into_par_iter().map(placed).filter_map(Result::transpose);
     let mut order: Vec<(bool, u64, ProbeKey)> = all.collect::<Result<_, Cancelled>>()?;

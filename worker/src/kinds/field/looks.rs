@@ -31,7 +31,15 @@ pub fn is_free(geometry: &Geometry, at_m: Vec3, clearance_m: f32) -> bool {
     place(geometry, at_m, clearance_m) == Place::Free
 }
 
-/// Likewise, and marks the `trail` of the rays that tell.
+/// A front is nearer than so much: something there is to be lit.
+pub fn sees_front(geometry: &Geometry, at_m: Vec3, reach_m: f32) -> bool {
+    (0..LOOK_RAYS).any(|ray| {
+        let hit = geometry.tracer.closest(at_m, relight_direction(ray, LOOK_RAYS), reach_m);
+        hit.is_some_and(|hit| !geometry.is_back(&hit))
+    })
+}
+
+/// A place is free likewise; marks the `trail` of the rays that tell.
 pub fn is_free_by(geometry: &Geometry, at_m: Vec3, clearance_m: f32, trail: &Trail) -> bool {
     trail.mark_box(at_m - clearance_m, at_m + clearance_m);
     let from = trail.from(at_m);

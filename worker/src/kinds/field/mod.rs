@@ -12,6 +12,7 @@ mod plan;
 mod readings;
 mod spacing;
 mod truncate;
+mod volume;
 
 use std::sync::Arc;
 
@@ -28,6 +29,7 @@ pub use looks::{Place, is_free, is_inside, place};
 pub use plan::{FieldPlan, planned};
 pub use readings::CLASSES;
 pub use spacing::{lattice, points, spacing_m};
+pub use volume::Volume;
 
 /// Magic of the artefact of probes.
 const PROBES_MAGIC: &[u8; 4] = b"LKfp";

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::cells::in_cells;
 use super::standing::standing;
 use crate::geometry::Geometry;
-use crate::kinds::field::{Survey, is_inside, lattice, points, spacing_m};
+use crate::kinds::field::{Survey, Volume, is_inside, lattice, points, spacing_m};
 use crate::task::{Cancelled, Progress, TaskError};
 
 /// Most points of a lattice.
@@ -26,12 +26,15 @@ enum Found {
     Idle,
 }
 
-/// Probes of a scene: at the points of the lattice within its near bounds and one step around them, but for those in geometry, and
-/// those outside of the bounds that see no cell of theirs within.
+/// Probes of a scene: at the points of the lattice in its volume, and those around it that see a cell of theirs within bounds, but for those
+/// in geometry.
 pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> Result<Survey, TaskError> {
-    let bounds_m = geometry.near_bounds_m();
-    let spacing_m = spacing_m(bounds_m, &settings.field);
-    let (low, size) = lattice(bounds_m, spacing_m);
+    let spacing_m = spacing_m(geometry.near_bounds_m(), &settings.field);
+    let volume = Volume::of(geometry, spacing_m);
+    let (low, size) = match settings.lattice.field_moves {
+        0 => lattice(volume.bounds_m, spacing_m),
+        _ => lattice(volume.outer_m(), spacing_m),
+    };
     let count = points(size);
     let ends = [low, low.saturating_add(size)].map(|end| end.to_array());
     let reach = ends.iter().flatten().map(|along| along.unsigned_abs()).max().unwrap_or_default();
@@ -53,7 +56,7 @@ pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> 
             let point = point(index);
             let found = progress.casting(|| match settings.lattice.field_moves {
                 0 => plain_at(geometry, point, spacing_m),
-                _ => found_at(geometry, point, spacing_m, bounds_m),
+                _ => found_at(geometry, point, spacing_m, &volume),
             });
             progress.advance(1);
             Ok(found)
@@ -71,7 +74,7 @@ pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> 
     if settings.lattice.field_moves == 0 {
         return Ok(survey);
     }
-    let cells = in_cells(geometry, &survey, (low, size), bounds_m, progress)?;
+    let cells = in_cells(geometry, &survey, (low, size), volume.bounds_m, progress)?;
     survey.in_cells = cells.len() as u64;
     survey.probes.extend(cells);
     Ok(survey)
@@ -84,13 +87,10 @@ fn plain_at(geometry: &Geometry, point: IVec3, spacing_m: f32) -> Found {
 }
 
 /// A point of the lattice.
-fn found_at(geometry: &Geometry, point: IVec3, spacing_m: f32, bounds_m: [Vec3; 2]) -> Found {
+fn found_at(geometry: &Geometry, point: IVec3, spacing_m: f32, volume: &Volume<'_>) -> Found {
     let point_m = point.as_vec3() * spacing_m;
-    let [low_m, high_m] = bounds_m;
-    let is_of_use = |at_m: Vec3| {
-        let is_within = at_m.cmpge(low_m).all() && at_m.cmple(high_m).all();
-        is_within || sees_bounds(geometry, (at_m, point_m), spacing_m, bounds_m)
-    };
+    let is_of_use =
+        |at_m: Vec3| volume.holds(at_m) || sees_bounds(geometry, (at_m, point_m), spacing_m, volume.bounds_m);
     if !is_of_use(point_m) {
         return Found::Idle;
     }
