@@ -14,6 +14,9 @@ use crate::bake::{PROBE_COEFFICIENTS, Tetrahedra};
 
 pub const FILE: &str = "probes-godot.tres";
 
+/// The resource, with names for what it holds.
+const TEMPLATE: &str = include_str!("godot.tres");
+
 /// Bands of the clamped cosine, which Godot's shader multiplies coefficients by.
 const BANDS: [f32; 3] = [PI, 2.0 * PI / 3.0, PI / 4.0];
 
@@ -103,21 +106,15 @@ fn resource(mesh: &Mesh) -> String {
         let [red, green, blue, _] = (*row / (PI * BANDS[band_of(j)])).to_array();
         [red, green, blue, 1.0]
     };
-    let sh = rows.iter().flat_map(|own| own.iter().enumerate().flat_map(of_row));
-    let mut text =
-        "[gd_resource type=\"LightmapGIData\" format=3]\n\n[resource]\nprobe_data = {\n".to_owned();
-    // Writing to a string does not fail.
-    let _ = write!(
-        text,
-        "\"baked_exposure\": 1.0,\n\"bounds\": AABB({}),\n\"bsp\": PackedInt32Array({}),\n\"interior\": false,\n\"points\": \
-         PackedVector3Array({}),\n\"sh\": PackedColorArray({}),\n\"tetrahedra\": PackedInt32Array({})\n}}\n",
-        listed(bounds),
-        listed(bsp),
-        listed(places_m.iter().copied().flat_map(numbers)),
-        listed(sh),
-        listed(vertices.iter().flatten()),
-    );
-    text
+    let harmonics = rows.iter().flat_map(|own| own.iter().enumerate().flat_map(of_row));
+    let parts = [
+        ("BOUNDS", listed(bounds)),
+        ("PLANES", listed(bsp)),
+        ("POINTS", listed(places_m.iter().copied().flat_map(numbers))),
+        ("HARMONICS", listed(harmonics)),
+        ("TETRAHEDRA", listed(vertices.iter().flatten())),
+    ];
+    parts.iter().fold(TEMPLATE.to_owned(), |text, (name, numbers)| text.replacen(name, numbers, 1))
 }
 
 /// Numbers with commas.
@@ -127,6 +124,7 @@ fn listed(numbers: impl IntoIterator<Item = impl Display>) -> String {
         if !text.is_empty() {
             text.push_str(", ");
         }
+        // Writing to a string does not fail.
         let _ = write!(text, "{number}");
     }
     text

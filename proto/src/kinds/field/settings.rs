@@ -13,6 +13,6 @@ settings_group! {
         /// Rays per probe (a power of two). More → less noise, more time.
         probe_rays: u32 = [256, 1024, 2048], |v| v.is_power_of_two() && (64..=65_536).contains(&v), "a power of two in 64..=65536";
         /// Relative error of truncation of probes' rows, as `rank_error` is of receivers'. Smaller → higher ranks, more bytes.
-        field_rank_error: f32 = [0.05, 0.03, 0.02], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
+        field_rank_error: f32 = [0.02, 0.01, 0.005], |v| (1e-5..=0.5).contains(&v), "0.00001..=0.5";
     }
 }
