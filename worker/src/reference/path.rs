@@ -341,6 +341,15 @@ impl Reference<'_> {
         (rects + emission, Some(surface))
     }
 
+    /// The surface that reflects light along a ray, or radiance of the sky where there is none.
+    pub fn reflector(&self, origin_m: Vec3, direction: Vec3) -> Result<EyeSurface, DVec3> {
+        let Some(hit) = self.geometry.tracer.met(origin_m, direction, f32::INFINITY) else {
+            return Err(self.sky_met(None, direction));
+        };
+        let met = self.met(&hit);
+        Ok(EyeSurface { hit, site: met.site, lit: met.lit, albedo: met.surface.albedo })
+    }
+
     /// Irradiance from one sample of each kind of lamp with extent, and by one ray of a lamp without.
     fn by_lamps(&self, site: &Site, chances: &Chances, walk: &mut Walk) -> DVec3 {
         let mut points = || LampPoints::next(&mut walk.random);

@@ -13,7 +13,7 @@ use crate::jobs::TaskSpec;
 use crate::manifest::{Manifest, ManifestError};
 use crate::settings::{SettingRow, SettingsError};
 
-pub use settings::{CloudSettings, Settings};
+pub use settings::{CloudSettings, Placement, Settings};
 pub use tasks::first_tasks;
 
 /// Name of the kind.

@@ -11,6 +11,13 @@ settings_group! {
         /// Whether probes are fitted to light between them (1) or have that of their own places (0). 1 → lower ranks, about the same error,
         /// thrice the time.
         field_fit: u32 = [0, 0, 0], |v| v <= 1, "0 or 1";
+        /// Where probes stand: evenly (0); densest where transport between them would err most (1), as many as evenly; or where S2 has them by
+        /// the lights of the scene file: spawned and merged by contrast (2), or moved to where light comes from (3), 20,000 at most. 1 to 3 →
+        /// more time for the plan.
+        field_placement: u32 = [0, 0, 0], |v| v <= 3, "0 (even), 1 (error), 2 (spawn and merge) or 3 (gradient)";
+        /// Whether probes are added on both sides of surfaces that part two of them (1), as S2 has it, instead of where none is seen (0). 1 →
+        /// more probes beside walls, 20,000 at most.
+        field_leak_edges: u32 = [0, 0, 0], |v| v <= 1, "0 or 1";
     }
 }
 
@@ -29,8 +36,33 @@ kind_settings! {
         factors: FactorSettings,
         /// Probes in free space.
         field: FieldSettings,
-        /// Their fit.
+        /// Their fit and their places.
         cloud: CloudSettings,
+    }
+}
+
+/// Ways to place probes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Placement {
+    /// As far apart everywhere.
+    Even,
+    /// By the error of transport between them.
+    Error,
+    /// Spawned and merged by contrast of light.
+    SpawnMerge,
+    /// Moved to where light comes from.
+    Gradient,
+}
+
+impl CloudSettings {
+    /// Where probes stand.
+    pub fn placement(&self) -> Placement {
+        match self.field_placement {
+            1 => Placement::Error,
+            2 => Placement::SpawnMerge,
+            3 => Placement::Gradient,
+            _ => Placement::Even,
+        }
     }
 }
 

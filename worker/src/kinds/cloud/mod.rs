@@ -1,9 +1,10 @@
-//! Kind `cloud`: a relightable bake with a field, light at probes that stand evenly in free space, and tetrahedra between them.
+//! Kind `cloud`: a relightable bake with a field, light at probes that stand in free space, and tetrahedra between them.
 //!
 //! `cloud.plan` (all of `prt.plan`, probes, tetrahedra) → `prt.transport`, `prt.colour`, `prt.overview`, and `cloud.gather` by cell of
 //! probes → `cloud.assemble`.
 
 mod delaunay;
+mod placement;
 mod survey;
 
 use lightkiln_proto::jobs::TaskSpec;
@@ -78,7 +79,7 @@ fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
         tetrahedra: Some(TETRAHEDRA),
     };
     field::planned(context, &plan, |geometry| {
-        survey::survey(geometry, &bake.settings.field, context.progress)
+        survey::survey(geometry, (&bake.settings.field, &bake.settings.cloud), context.progress)
     })
 }
 

@@ -246,7 +246,7 @@ impl Gathering<'_> {
 }
 
 /// `A_l Y_j(ω)`.
-fn weights(direction: Vec3) -> [f32; PROBE_ROWS] {
+pub fn weights(direction: Vec3) -> [f32; PROBE_ROWS] {
     const OF_BANDS: [f32; 3] =
         [std::f32::consts::PI, 2.0 / 3.0 * std::f32::consts::PI, 0.25 * std::f32::consts::PI];
     static BASIS: LazyLock<ShBasis> = LazyLock::new(|| ShBasis::new(2));
@@ -257,7 +257,7 @@ fn weights(direction: Vec3) -> [f32; PROBE_ROWS] {
 }
 
 /// A turn that is uniform among all (\[Shoemake1992\]).
-fn turn(seed: u64) -> Quat {
+pub fn turn(seed: u64) -> Quat {
     let mut numbers = Sequence::new(seed);
     let [share, a, b] = [(); 3].map(|()| numbers.next_f32());
     let [a, b] = [a, b].map(|at| at * std::f32::consts::TAU);

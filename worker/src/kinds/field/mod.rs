@@ -24,7 +24,7 @@ use crate::task::{Context, TaskError, artefact};
 
 pub use assemble::field_assembled;
 pub use evaluated::{FieldBake, evaluated};
-pub use gather::run as gather;
+pub use gather::{run as gather, turn as uniform_turn, weights as irradiance_weights};
 pub use looks::{Place, is_free, is_inside, place};
 pub use plan::{FieldPlan, planned};
 pub use readings::CLASSES;
@@ -51,6 +51,9 @@ pub struct Survey {
     pub in_cells: u64,
     /// Tetrahedra between them, where there is no lattice.
     pub tessellation: Option<Tessellation>,
+    /// Counts of their placement, by name; tasks of probes do not see them.
+    #[serde(skip)]
+    pub account: Vec<(String, u64)>,
 }
 
 /// Tetrahedra between probes.

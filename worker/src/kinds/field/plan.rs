@@ -96,7 +96,9 @@ pub fn planned(
         ("probes_in_cells", survey.in_cells),
         ("places_inside", survey.inside),
     ];
-    let counters = counters.map(|(name, count)| (name.to_owned(), count as f64)).into();
+    let placement = survey.account.iter().map(|(name, count)| (name.clone(), *count as f64));
+    let counters = counters.map(|(name, count)| (name.to_owned(), count as f64)).into_iter().chain(placement);
+    let counters = counters.collect();
     artefacts.extend(own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)));
     Ok(TaskOutput { artefacts, plan, counters, ..TaskOutput::default() })
 }
