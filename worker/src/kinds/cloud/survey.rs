@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::delaunay::tetrahedra;
 use super::placement::even::{self, Stand, thin};
-use super::placement::{Ground, error, gradient, leak_edges, light::Light, spawn_merge};
+use super::placement::{Account, Ground, error, gradient, leak_edges, light::Light, spawn_merge};
 use crate::geometry::Geometry;
 use crate::kinds::field::{Survey, Tessellation};
 use crate::rays::sampling::seed_of;
@@ -39,25 +39,26 @@ pub fn survey(
 
 /// Adds probes where their placement has them; gives places that more may stand at.
 fn placed(ground: &Ground<'_>, placement: Placement, survey: &mut Survey) -> Result<Vec<Stand>, TaskError> {
-    let probes = match placement {
-        Placement::Even | Placement::Error => {
-            let mut places = match placement {
-                Placement::Error => error::places(ground, &mut survey.account)?,
-                _ => even::places(ground)?,
-            };
-            ground.progress.begin(0.0, 1.0, (1 + u64::from(ROUNDS)) * places.len() as u64);
-            thin(ground, survey, &mut places)?;
-            return Ok(places);
-        }
-        Placement::SpawnMerge => {
-            let light = Light::of(ground.geometry, ground.progress)?;
-            spawn_merge::probes(ground, &light, &mut survey.account)?
-        }
-        Placement::Gradient => {
-            let light = Light::of(ground.geometry, ground.progress)?;
-            gradient::probes(ground, &light, &mut survey.account)?
-        }
+    let mut places = match placement {
+        Placement::Even => even::places(ground)?,
+        Placement::Error => error::places(ground, &mut survey.account)?,
+        Placement::SpawnMerge => return by_light(ground, spawn_merge::probes, survey),
+        Placement::Gradient => return by_light(ground, gradient::probes, survey),
     };
+    ground.progress.begin(0.0, 1.0, (1 + u64::from(ROUNDS)) * places.len() as u64);
+    thin(ground, survey, &mut places)?;
+    Ok(places)
+}
+
+/// Probes of a placement from those of a grid.
+type ByLight = fn(&Ground<'_>, &Light<'_>, &[ProbeKey], &mut Account) -> Result<Vec<ProbeKey>, Cancelled>;
+
+/// Adds probes where light has them; gives even places.
+fn by_light(ground: &Ground<'_>, probes: ByLight, survey: &mut Survey) -> Result<Vec<Stand>, TaskError> {
+    let first = ground.first_grid()?;
+    survey.account.push(("probes_first".to_owned(), first.len() as u64));
+    let light = Light::of(ground.geometry, ground.progress)?;
+    let probes = probes(ground, &light, &first, &mut survey.account)?;
     survey.probes = probes.into_iter().map(|key| (key.0, [0; 3])).collect();
     Ok(even::places(ground)?)
 }
@@ -108,3 +109,6 @@ fn tessellation(ground: &Ground<'_>, survey: &Survey) -> Result<Tessellation, Ta
         .map_err(|error| TaskError::bad_input_from("there are no tetrahedra between the probes", error))?;
     Ok(Tessellation { box_m, tetrahedra })
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::light::{Capture, Light};
 use super::{Account, CLEARANCE, Ground};
 use crate::kinds::field::is_free;
-use crate::task::{Cancelled, Progress, TaskError};
+use crate::task::{Cancelled, Progress};
 
 /// Most rounds.
 const ROUNDS: usize = 32;
@@ -26,15 +26,14 @@ const DARK_SHARE: usize = 16;
 /// Rounds of k-means.
 const MEANS_ROUNDS: u32 = 32;
 
-/// Probes of a scene, ascending by key, and counts by round.
+/// Probes of a scene from those of a grid, ascending by key, and counts by round.
 pub fn probes(
     ground: &Ground<'_>,
     light: &Light<'_>,
+    first: &[ProbeKey],
     account: &mut Account,
-) -> Result<Vec<ProbeKey>, TaskError> {
+) -> Result<Vec<ProbeKey>, Cancelled> {
     let Ground { geometry, progress, .. } = ground;
-    let first = ground.first_grid()?;
-    account.push(("probes_first".to_owned(), first.len() as u64));
     let capture = |&key: &ProbeKey| {
         progress.check()?;
         let at_m = ground.position_m(key);

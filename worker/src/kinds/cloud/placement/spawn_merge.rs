@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::contrast::contrast;
 use super::light::{Capture, Light};
 use super::{Account, Ground, PROBES_MAX};
-use crate::task::{Cancelled, Progress, TaskError};
+use crate::task::{Cancelled, Progress};
 
 /// Most rounds.
 const ROUNDS: u32 = 8;
@@ -26,17 +26,16 @@ const MERGED: f32 = 0.75;
 /// How near those are that are compared, likewise.
 const COMPARED: f32 = 1.5;
 
-/// Probes of a scene, ascending by key, and counts by round.
+/// Probes of a scene from those of a grid, ascending by key, and counts by round.
 pub fn probes(
     ground: &Ground<'_>,
     light: &Light<'_>,
+    first: &[ProbeKey],
     account: &mut Account,
-) -> Result<Vec<ProbeKey>, TaskError> {
-    let first = ground.first_grid()?;
-    account.push(("probes_first".to_owned(), first.len() as u64));
+) -> Result<Vec<ProbeKey>, Cancelled> {
     let mut cloud = Captures::default();
     let captured = |key: ProbeKey| light.at(ground.position_m(key));
-    cloud.add(&first, captured, ground.progress)?;
+    cloud.add(first, captured, ground.progress)?;
     let mean = cloud.mean();
     let mut free: HashMap<ProbeKey, bool> = HashMap::new();
     for round in 1..=ROUNDS {
