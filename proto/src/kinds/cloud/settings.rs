@@ -12,12 +12,14 @@ settings_group! {
         /// thrice the time.
         field_fit: u32 = [0, 0, 0], |v| v <= 1, "0 or 1";
         /// Where probes stand: evenly (0); densest where transport between them would err most (1), as many as evenly; or where S2 has them by
-        /// the lights of the scene file: spawned and merged by contrast (2), or moved to where light comes from (3), 20,000 at most. 1 to 3 →
+        /// the lights of the scene file: spawned and merged by contrast (2), or moved to where light comes from (3). 1 to 3 →
         /// more time for the plan.
         field_placement: u32 = [0, 0, 0], |v| v <= 3, "0 (even), 1 (error), 2 (spawn and merge) or 3 (gradient)";
         /// Whether probes are added on both sides of surfaces that part two of them (1), as S2 has it, instead of where none is seen (0). 1 →
-        /// more probes beside walls, 20,000 at most.
+        /// more probes beside walls.
         field_leak_edges: u32 = [0, 0, 0], |v| v <= 1, "0 or 1";
+        /// Most probes that placements 2 and 3 and leak edges make. More → contrasts spawn more probes, time and bytes with them.
+        field_probes_max: u32 = [20_000, 20_000, 20_000], |v| (8..=20_000).contains(&v), "8..=20000";
     }
 }
 

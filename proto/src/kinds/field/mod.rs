@@ -12,6 +12,8 @@ mod settings;
 mod table;
 mod tetrahedra;
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -57,12 +59,15 @@ pub struct FieldTotals {
     pub inside: u64,
     /// Mean rank of the probes' factors.
     pub mean_rank: f64,
+    /// Counts of how they were placed, by round, where they do not stand evenly.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub placement: BTreeMap<String, u64>,
 }
 
 impl FieldTotals {
     /// For people.
     fn words(&self, bytes: u64) -> String {
-        let Self { spacing_m, probes, inside, mean_rank } = self;
+        let Self { spacing_m, probes, inside, mean_rank, placement: _ } = self;
         let each = bytes as f64 / (*probes).max(1) as f64;
         format!(
             "{probes} probes {spacing_m} m apart, {inside} left out in geometry; mean rank {mean_rank:.1}, {each:.0} bytes a probe\n"

@@ -1,5 +1,7 @@
 //! Assemble of a bake with a field: the manifest's body, its clusters and fields, and the report.
 
+use std::collections::BTreeMap;
+
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::field::{Body, FIELD, FieldTotals};
 use lightkiln_proto::kinds::prt::Settings;
@@ -7,8 +9,8 @@ use lightkiln_proto::manifest::ChunkRef;
 use serde::Serialize;
 use serde_json::json;
 
-use super::Survey;
 use super::gather::Account;
+use super::{PLACEMENT_ARTEFACT, Survey};
 use crate::assemble::{KindPart, assembled};
 use crate::kinds::prt;
 use crate::task::{Context, TaskError, TaskOutput};
@@ -30,6 +32,7 @@ pub fn field_assembled(
         probes: account.probes,
         inside: survey.inside,
         mean_rank: account.ranks as f64 / account.probes.max(1) as f64,
+        placement: placement(context)?,
     };
     let prt::Assembled { body, clusters, mut chunks, mut report } = relightable;
     report["field"] = json!(field);
@@ -39,6 +42,15 @@ pub fn field_assembled(
         chunks.push((role, chunks_of(context, |name| name == role)));
     }
     assembled(context, KindPart { kind, scene, settings, body: &body, clusters, chunks }, report)
+}
+
+/// Counts of how probes were placed, where there are some.
+fn placement(context: &Context) -> Result<BTreeMap<String, u64>, TaskError> {
+    let Some(artefact) = context.inputs.iter().find(|artefact| artefact.name == PLACEMENT_ARTEFACT) else {
+        return Ok(BTreeMap::new());
+    };
+    serde_json::from_slice(&context.source.get(artefact.digest)?)
+        .map_err(|error| TaskError::bad_input_from("the account of the placement cannot be read", error))
 }
 
 /// Sums over all cells.

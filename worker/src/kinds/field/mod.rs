@@ -35,6 +35,8 @@ pub use volume::Volume;
 const PROBES_MAGIC: &[u8; 4] = b"LKfp";
 /// Name under which tasks see it.
 const PROBES_ARTEFACT: &str = "probes";
+/// Name of the counts of their placement, as JSON.
+const PLACEMENT_ARTEFACT: &str = "placement";
 
 /// Probes of a field.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -1,5 +1,7 @@
 //! Plan of a bake with a field: the tasks of a relightable bake, the probes, a task for each cell of them, and assemble.
 
+use std::collections::BTreeMap;
+
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskInput;
 use lightkiln_proto::kinds::field::{FieldSettings, encode_tetrahedra};
@@ -7,7 +9,7 @@ use lightkiln_proto::kinds::{TaskKind, prt::Settings};
 use serde_json::{Value, json};
 
 use super::before::alike;
-use super::{GatherParams, PROBES_ARTEFACT, Survey};
+use super::{GatherParams, PLACEMENT_ARTEFACT, PROBES_ARTEFACT, Survey};
 use crate::emitters::EmitterSet;
 use crate::factors::{CELLS_ARTEFACT, cell_names, cells, encoded_cells};
 use crate::geometry::Geometry;
@@ -38,7 +40,7 @@ pub struct FieldPlan<'a> {
 }
 
 /// Runs the plan of a kind: inputs are the outputs of all scene tasks; outputs those of `prt.plan` but its outline, `probes`,
-/// `field-cells`, and the chunk of tetrahedra.
+/// `field-cells`, the chunk of tetrahedra, and `placement`, counts, where there are some.
 pub fn planned(
     context: &Context,
     plan: &FieldPlan<'_>,
@@ -55,6 +57,11 @@ pub fn planned(
         let chunk = encode_tetrahedra(&set)
             .map_err(|error| TaskError::bad_input_from("the tetrahedra cannot be stored", error))?;
         own.push((role, chunk));
+    }
+    if !survey.account.is_empty() {
+        let account: BTreeMap<&String, u64> =
+            survey.account.iter().map(|(name, count)| (name, *count)).collect();
+        own.push((PLACEMENT_ARTEFACT, json!(account).to_string().into_bytes()));
     }
     let input = |name: &str, which: usize| TaskInput::Artefact {
         name: name.into(),

@@ -1,12 +1,9 @@
 //! Contrast of light at two places (\[Sukys2014\] §3.1.3): the most by which irradiance differs, over 26 normals and all colours.
 //!
-//! `c = max |a − b| / (a + b + 1e-3 Ē)`. The normals are the sums of one to three of the axes' directions.
+//! `c = max |a − b| / (a + b + 1e-3 Ē)`. The normals are the sums of one to three of the axes' directions. *We differ:* S2 samples
+//! spherical harmonics, which swing below 0 where little light comes from, and contrast there by that alone; ours are sums over rays.
 
-use std::sync::LazyLock;
-
-use glam::{IVec3, Vec3};
-use lightkiln_proto::harmonics::ShBasis;
-use lightkiln_proto::kinds::field::PROBE_ROWS;
+use glam::{DVec3, IVec3, Vec3};
 
 /// Normals at which irradiance is compared.
 const NORMALS: usize = 26;
@@ -16,29 +13,31 @@ const FLOOR: f32 = 1e-3;
 /// Irradiance by normal and colour.
 pub type Samples = [[f32; 3]; NORMALS];
 
-/// The normals.
-fn normals() -> impl Iterator<Item = Vec3> {
-    let ways = (0..27).filter(|way| *way != 13);
-    ways.map(|way: i32| (IVec3::new(way % 3, way / 3 % 3, way / 9) - 1).as_vec3().normalize())
+/// Irradiance at the normals while rays are added.
+pub struct Gathered {
+    normals: [Vec3; NORMALS],
+    sums: [DVec3; NORMALS],
 }
 
-/// Irradiance at the normals, of coefficients by row; at least 0.
-pub fn samples(coefficients: &[[f32; 3]; PROBE_ROWS]) -> Samples {
-    static HARMONICS: LazyLock<[[f32; PROBE_ROWS]; NORMALS]> = LazyLock::new(|| {
-        let basis = ShBasis::new(2);
-        let mut all = [[0.0; PROBE_ROWS]; NORMALS];
-        for (harmonics, normal) in all.iter_mut().zip(normals()) {
-            basis.evaluate(normal, harmonics);
+impl Gathered {
+    /// None yet.
+    pub fn new() -> Self {
+        let ways = std::array::from_fn(|way| way as i32 + i32::from(way >= NORMALS / 2));
+        let normals = ways.map(|way| (IVec3::new(way % 3, way / 3 % 3, way / 9) - 1).as_vec3().normalize());
+        Self { normals, sums: [DVec3::ZERO; NORMALS] }
+    }
+
+    /// Adds radiance from a direction times the solid angle that it stands for.
+    pub fn add(&mut self, direction: Vec3, light: DVec3) {
+        for (sum, normal) in self.sums.iter_mut().zip(&self.normals) {
+            *sum += light * f64::from(normal.dot(direction).max(0.0));
         }
-        all
-    });
-    HARMONICS.map(|harmonics| {
-        let of_colour = |colour: usize| {
-            let rows = harmonics.iter().zip(coefficients);
-            rows.map(|(harmonic, coefficient)| harmonic * coefficient[colour]).sum::<f32>().max(0.0)
-        };
-        [0, 1, 2].map(of_colour)
-    })
+    }
+
+    /// The irradiance.
+    pub fn samples(&self) -> Samples {
+        self.sums.map(|sum| sum.as_vec3().to_array())
+    }
 }
 
 /// c of two places in a scene of some mean irradiance: 0 of places alike, 1 beside darkness.
@@ -54,7 +53,7 @@ mod tests {
 
     #[test]
     fn normals_are_distinct_units_in_opposite_pairs() {
-        let all: Vec<Vec3> = normals().collect();
+        let all = Gathered::new().normals;
         assert_eq!(all.len(), NORMALS);
         for (index, normal) in all.iter().enumerate() {
             assert!((normal.length() - 1.0).abs() < 1e-6);
@@ -82,20 +81,14 @@ mod tests {
     #[test]
     fn samples_are_irradiance_of_light_from_one_side() {
         // Radiance `1 + z`: E = π + 2π/3 n_z.
-        let basis = ShBasis::new(2);
-        let mut coefficients = [[0.0; 3]; PROBE_ROWS];
+        let mut gathered = Gathered::new();
         let count = 4096;
         for ray in 0..count {
             let direction = lightkiln_proto::harmonics::relight_direction(ray, count);
-            let mut harmonics = [0.0; PROBE_ROWS];
-            basis.evaluate(direction, &mut harmonics);
-            let weights = crate::kinds::field::irradiance_weights(direction);
-            for (sum, weight) in coefficients.iter_mut().zip(weights) {
-                let light = (1.0 + direction.z) * 4.0 * std::f32::consts::PI / count as f32;
-                sum.iter_mut().for_each(|sum| *sum += weight * light);
-            }
+            let share = 4.0 * std::f64::consts::PI / f64::from(count);
+            gathered.add(direction, DVec3::splat(share * f64::from(1.0 + direction.z)));
         }
-        for (found, normal) in samples(&coefficients).iter().zip(normals()) {
+        for (found, normal) in gathered.samples().iter().zip(gathered.normals) {
             let wanted = std::f32::consts::PI * (1.0 + 2.0 / 3.0 * normal.z);
             assert!((found[0] - wanted).abs() < 0.01, "{normal}: {} for {wanted}", found[0]);
         }

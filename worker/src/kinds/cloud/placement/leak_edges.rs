@@ -10,7 +10,7 @@ use glam::Vec3;
 use lightkiln_proto::kinds::field::ProbeKey;
 use rayon::prelude::*;
 
-use super::{Ground, PROBES_MAX};
+use super::Ground;
 use crate::geometry::Geometry;
 use crate::kinds::field::{Survey, Tessellation};
 use crate::task::{Cancelled, TaskError};
@@ -33,7 +33,7 @@ pub fn added(
     for round in 1..=ROUNDS {
         let leaks = leaks(ground, survey)?;
         survey.account.push((format!("edges_leaking_{round}"), leaks.edges));
-        let room = PROBES_MAX.saturating_sub(survey.probes.len());
+        let room = ground.probes_max.saturating_sub(survey.probes.len());
         let made = leaks.made.into_iter().take(room);
         let before = survey.probes.len();
         survey.probes.extend(made.map(|key| (key.0, [0; 3])));

@@ -8,11 +8,9 @@ use std::collections::HashMap;
 
 use glam::{DVec3, IVec3, Vec3};
 use lightkiln_proto::harmonics::relight_direction;
-use lightkiln_proto::kinds::field::PROBE_ROWS;
 
-use super::contrast::{Samples, samples};
+use super::contrast::{Gathered, Samples};
 use crate::geometry::{Geometry, spread_sites};
-use crate::kinds::field::irradiance_weights;
 use crate::reference::{Lighting, Precision, Reference, Site, luminance};
 use crate::task::{Progress, TaskError};
 
@@ -83,21 +81,17 @@ impl<'a> Light<'a> {
 
     /// Captures the light at a place.
     pub fn at(&self, at_m: Vec3) -> Capture {
-        let mut coefficients = [[0.0; 3]; PROBE_ROWS];
+        let mut gathered = Gathered::new();
         let (mut flow, mut mean) = (DVec3::ZERO, 0.0);
         let share = 4.0 * std::f64::consts::PI / f64::from(RAYS);
         for ray in 0..RAYS {
             let direction = relight_direction(ray, RAYS);
             let radiance = self.radiance(at_m, direction) * share;
-            for (coefficient, weight) in coefficients.iter_mut().zip(irradiance_weights(direction)) {
-                for (sum, light) in coefficient.iter_mut().zip(radiance.to_array()) {
-                    *sum += weight * light as f32;
-                }
-            }
+            gathered.add(direction, radiance);
             flow += luminance(radiance) * direction.as_dvec3();
             mean += 0.25 * luminance(radiance);
         }
-        Capture { samples: samples(&coefficients), flow: flow.as_vec3(), mean: mean as f32 }
+        Capture { samples: gathered.samples(), flow: flow.as_vec3(), mean: mean as f32 }
     }
 
     /// Radiance that comes along a ray: of the sky, or reflected.

@@ -28,8 +28,6 @@ const REACH_MAX: u64 = 1 << 16;
 const PLACES_MAX: u64 = 1 << 23;
 /// Even places from the outermost ones to the box around all probes.
 const MARGIN: i32 = 3;
-/// Most probes of a placement by light, and with leak edges.
-pub const PROBES_MAX: usize = 20_000;
 /// Nearest that a surface may be to a probe that light or an edge placed, over the distance between probes.
 const CLEARANCE: f32 = 0.02;
 
@@ -50,6 +48,8 @@ pub struct Ground<'a> {
     pub stride: i32,
     /// Least even place, and their number along each axis.
     pub places: (IVec3, IVec3),
+    /// Most probes of a placement by light, and with leak edges.
+    pub probes_max: usize,
     /// Cancels.
     pub progress: &'a Progress,
 }
@@ -82,7 +82,8 @@ impl<'a> Ground<'a> {
             )));
         }
         let step_m = place_m / stride as f32;
-        Ok(Self { geometry, volume, spacing_m, step_m, stride, places: (low, size), progress })
+        let probes_max = cloud.field_probes_max as usize;
+        Ok(Self { geometry, volume, spacing_m, step_m, stride, places: (low, size), probes_max, progress })
     }
 
     /// A point of the lattice in metres.
@@ -144,12 +145,13 @@ impl<'a> Ground<'a> {
         let all = (0..points(size)).into_par_iter().map(free).filter_map(Result::transpose);
         let mut keys: Vec<ProbeKey> = all.collect::<Result<_, Cancelled>>()?;
         keys.sort_unstable();
-        if keys.len() > PROBES_MAX {
+        if keys.len() > self.probes_max {
             return Err(TaskError::bad_input(format!(
-                "field_placement by light starts from {} probes {} m apart, at most {PROBES_MAX} may be; raise field_spacing_m, or place \
-                 them evenly",
+                "placement by light starts from {} probes {} m apart, field_probes_max is {}; raise it or field_spacing_m, or take \
+                 field_placement = 0 or 1",
                 keys.len(),
-                self.spacing_m
+                self.spacing_m,
+                self.probes_max
             )));
         }
         Ok(keys)

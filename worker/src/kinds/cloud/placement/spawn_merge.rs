@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::contrast::contrast;
 use super::light::{Capture, Light};
-use super::{Account, Ground, PROBES_MAX};
+use super::{Account, Ground};
 use crate::task::{Cancelled, Progress};
 
 /// Most rounds.
@@ -41,14 +41,16 @@ pub fn probes(
     for round in 1..=ROUNDS {
         let mut may_stand = |key| *free.entry(key).or_insert_with(|| ground.is_free(key));
         let change = change(&cloud, (mean, ground.steps()), &mut may_stand, ground.progress)?;
-        account.push((format!("spawned_{round}"), change.spawned));
-        account.push((format!("merged_{round}"), change.merged));
+        account.push((format!("merged_{round}"), change.gone.len() as u64 / 2));
         cloud.probes.retain(|key, _| !change.gone.contains(key));
-        let room = PROBES_MAX.saturating_sub(cloud.probes.len());
-        let made: Vec<ProbeKey> = change.made.into_iter().take(room).collect();
-        cloud.add(&made, captured, ground.progress)?;
+        let merged: Vec<ProbeKey> = change.merged.into_iter().collect();
+        cloud.add(&merged, captured, ground.progress)?;
+        let room = ground.probes_max.saturating_sub(cloud.probes.len());
+        let spawned = strongest(change.spawned, room);
+        cloud.add(&spawned, captured, ground.progress)?;
+        account.push((format!("spawned_{round}"), spawned.len() as u64));
         account.push((format!("probes_{round}"), cloud.probes.len() as u64));
-        if change.spawned + change.merged == 0 {
+        if change.gone.is_empty() && spawned.is_empty() {
             break;
         }
     }
@@ -88,10 +90,19 @@ impl Captures {
 /// Changes of a round.
 #[derive(Debug, Default, PartialEq)]
 struct Change {
+    /// Probes that are merged.
     gone: BTreeSet<ProbeKey>,
-    made: BTreeSet<ProbeKey>,
-    spawned: u64,
-    merged: u64,
+    /// Their successors.
+    merged: BTreeSet<ProbeKey>,
+    /// New probes between others, and the contrasts of these.
+    spawned: BTreeMap<ProbeKey, f32>,
+}
+
+/// Those of greatest contrast, as many as there is room for: S2 ends at a greatest number of probes.
+fn strongest(spawned: BTreeMap<ProbeKey, f32>, room: usize) -> Vec<ProbeKey> {
+    let mut all: Vec<(ProbeKey, f32)> = spawned.into_iter().collect();
+    all.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    all.into_iter().take(room).map(|(key, _)| key).collect()
 }
 
 /// Changes of a round among probes, on a lattice of so many steps over the distance between probes. No probe is merged twice in a round,
@@ -124,14 +135,13 @@ fn change(
             let middle = ProbeKey::of((key.point() + other.point()).div_euclid(IVec3::splat(2)));
             let (Some(middle), Some(capture)) = (middle, cloud.probes.get(&other)) else { continue };
             let contrast = contrast(&own.samples, &capture.samples, mean);
-            let is_new = !cloud.probes.contains_key(&middle) && !change.made.contains(&middle);
+            let is_new = !cloud.probes.contains_key(&middle) && !change.merged.contains(&middle);
             if contrast < ALIKE && away < MERGED * steps as f32 && may_stand(middle) {
                 change.gone.extend([key, other]);
-                change.made.insert(middle);
-                change.merged += 1;
+                change.merged.insert(middle);
             } else if contrast > UNLIKE && is_new && may_stand(middle) {
-                change.made.insert(middle);
-                change.spawned += 1;
+                let strongest = change.spawned.entry(middle).or_default();
+                *strongest = strongest.max(contrast);
             }
         }
     }
@@ -162,9 +172,9 @@ mod tests {
     #[test]
     fn pairs_unlike_spawn_between_and_pairs_alike_are_merged() {
         let found = changed(&[(0, 1.0), (12, 10.0), (40, 1.0), (46, 1.1)], &[]);
-        assert_eq!(found.made, [key(6), key(43)].into());
+        assert_eq!(found.spawned.keys().copied().collect::<Vec<_>>(), [key(6)]);
+        assert_eq!(found.merged, [key(43)].into());
         assert_eq!(found.gone, [key(40), key(46)].into());
-        assert_eq!((found.spawned, found.merged), (1, 1));
     }
 
     #[test]
@@ -180,6 +190,14 @@ mod tests {
     fn merged_probes_take_no_further_part() {
         let found = changed(&[(0, 1.0), (4, 1.0), (8, 1.0), (14, 9.0)], &[]);
         assert_eq!(found.gone, [key(0), key(4)].into());
-        assert_eq!(found.made, [key(2), key(11)].into());
+        assert_eq!(found.merged, [key(2)].into());
+        assert_eq!(found.spawned.keys().copied().collect::<Vec<_>>(), [key(11)]);
+    }
+
+    #[test]
+    fn the_greatest_contrasts_spawn_where_there_is_little_room() {
+        let all = [(key(1), 0.6), (key(2), 0.9), (key(3), 0.9), (key(4), 0.7)];
+        assert_eq!(strongest(all.into(), 3), [key(2), key(3), key(4)]);
+        assert_eq!(strongest(all.into(), 0), []);
     }
 }

@@ -66,7 +66,8 @@ fn surveyed(
     progress: &Progress,
 ) -> Result<Survey, TaskError> {
     let settings = json!({
-        "field_placement": placement, "field_leak_edges": leak_edges, "field_spacing_m": spacing_m
+        "field_placement": placement, "field_leak_edges": leak_edges, "field_spacing_m": spacing_m,
+        "field_probes_max": 400
     });
     let settings = Settings::from_json(&settings).unwrap();
     survey(geometry, (&settings.field, &settings.cloud), progress)
@@ -150,7 +151,7 @@ fn scenes_without_light_and_too_many_probes_are_refused() {
     assert!(wrong(&dark, 2, 0.5).contains("has none; add lights"));
     assert!(wrong(&dark, 3, 0.5).contains("has none; add lights"));
     let lit = room(1.0);
-    assert!(wrong(&lit, 2, 0.08).contains("at most 20000 may be"), "{}", wrong(&lit, 2, 0.08));
+    assert!(wrong(&lit, 2, 0.2).contains("field_probes_max is 400"), "{}", wrong(&lit, 2, 0.2));
 }
 
 #[test]
