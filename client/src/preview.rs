@@ -2,6 +2,7 @@
 
 mod cpu;
 mod debug;
+mod edges;
 mod gpu;
 mod path;
 mod probes;
@@ -27,6 +28,7 @@ use crate::raster::camera_clip_from_world;
 use crate::scene::{LoadedScene, Stance, bounds_of, check_stances};
 
 pub use debug::debug_picture;
+pub use edges::probe_edges;
 #[cfg(test)]
 pub(crate) use gpu::frame_of;
 pub use path::{FILE_MAX as PATH_FILE_MAX, ViewPath};

@@ -17,12 +17,7 @@ const CUTS: usize = 2;
 
 /// An object of all probes of a bake, to be put into it where it stands. Errs for a kind without light in free space.
 pub fn probe_spheres(bake: &LoadedBake) -> Result<Object> {
-    let Some(space) = bake.light.free_space() else {
-        let text = format!("kind {}", bake.scene.manifest.kind);
-        let problem =
-            "has no probes to show; bake the scene with a kind that has; 'kiln settings' lists kinds";
-        return Err(ClientError::Source { text, problem: problem.to_owned() });
-    };
+    let space = bake.light.free_space().ok_or_else(|| no_probes(bake))?;
     let (directions, faces) = sphere();
     let radius_m = RADIUS * space.spacing_m();
     let mut draw = Draw::default();
@@ -33,9 +28,23 @@ pub fn probe_spheres(bake: &LoadedBake) -> Result<Object> {
         draw.normal.extend(directions.iter().map(Vec3::to_array));
         draw.triangles.extend(faces.iter().map(|face| face.map(|corner| first + corner)));
     }
-    let white = Material {
-        name: "probe".to_owned(),
-        base_colour: [1.0; 4],
+    let shape = Arc::new(Rigid(vec![draw]));
+    let materials = vec![plain_material("probe", [1.0; 3])];
+    Ok(Object { name: "probes".to_owned(), materials, textures: Vec::new(), shape })
+}
+
+/// A bake's kind has no light in free space.
+pub fn no_probes(bake: &LoadedBake) -> ClientError {
+    let text = format!("kind {}", bake.scene.manifest.kind);
+    let problem = "has no probes to show; bake the scene with a kind that has; 'kiln settings' lists kinds";
+    ClientError::Source { text, problem: problem.to_owned() }
+}
+
+/// A matt material of one colour.
+pub fn plain_material(name: &str, [red, green, blue]: [f32; 3]) -> Material {
+    Material {
+        name: name.to_owned(),
+        base_colour: [red, green, blue, 1.0],
         base_colour_texture: None,
         emissive: [0.0; 3],
         emissive_texture: None,
@@ -43,9 +52,7 @@ pub fn probe_spheres(bake: &LoadedBake) -> Result<Object> {
         alpha_cutoff: None,
         glass: None,
         double_sided: false,
-    };
-    let shape = Arc::new(Rigid(vec![draw]));
-    Ok(Object { name: "probes".to_owned(), materials: vec![white], textures: Vec::new(), shape })
+    }
 }
 
 /// Corners and triangles of a sphere of radius 1, seen from outside.

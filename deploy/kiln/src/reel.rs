@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
-use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath, probe_spheres};
+use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath, probe_edges, probe_spheres};
 use lightkiln_client::scene::{Object, Stance};
 use lightkiln_client::stream::{Baked, Budget, Streamed};
 use lightkiln_proto::relight::LevelCount;
@@ -23,6 +23,8 @@ use crate::objects::{ObjectArgument, parse_object};
 pub enum ShowName {
     /// Probes in free space: white spheres in the light that they have, which cast shadows
     Probes,
+    /// Edges between probes, along which light is told: green ones, and red ones that a surface cuts, whose light depth maps stop
+    Edges,
 }
 
 /// How much light to fetch, and how many pictures to draw of it.
@@ -78,11 +80,13 @@ impl Reel {
 
     /// Puts the parts that are to be shown of a bake into it, beside objects with these stances.
     pub fn show_in(&self, bake: &mut LoadedBake, stances: &mut Vec<Stance>) -> Result<()> {
-        if let Some(ShowName::Probes) = self.show {
-            let spheres = probe_spheres(bake)?;
-            bake.add_object(spheres)?;
-            stances.push(Stance::default());
-        }
+        let shown = match self.show {
+            None => return Ok(()),
+            Some(ShowName::Probes) => probe_spheres(bake)?,
+            Some(ShowName::Edges) => probe_edges(bake)?,
+        };
+        bake.add_object(shown)?;
+        stances.push(Stance::default());
         Ok(())
     }
 
