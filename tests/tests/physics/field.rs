@@ -208,6 +208,7 @@ fn light_along_a_way_has_few_steps() {
 fn light_at_probes_themselves_is_the_path_tracers() {
     let mut recipe = small(grid::NAME, 400);
     recipe.settings["field_fit"] = 0.into();
+    recipe.settings["field_rank_error"] = 0.01.into();
     let held = Held::new(scenes::cornell(), &recipe).unwrap();
     let lit = held.under(&lamp_at(Vec3::new(0.3, 3.0, -2.0))).unwrap();
     let field = LitField::of(&held, &lit);
@@ -243,7 +244,7 @@ fn light_at_probes_themselves_is_the_path_tracers() {
     let ringing = error_of(&clusters.reconstruct(&Threads, &b, &direct, None));
     let error = error_of(&field.rows);
     println!("{} probes: error {error:.4} at their own places, {ringing:.4} with ringing", sites.len());
-    assert!(error < 0.15, "{error}");
+    assert!(error < 0.1, "{error}");
     assert!(error < 1.05 * ringing, "{error}, with ringing {ringing}");
 }
 

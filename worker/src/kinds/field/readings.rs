@@ -2,7 +2,7 @@
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::harmonics::ShBasis;
-use lightkiln_proto::kinds::field::{FieldTable, PROBE_ROWS};
+use lightkiln_proto::kinds::field::{Between, FieldTable, PROBE_ROWS};
 use lightkiln_proto::lobes::{self, FARTHEST, Lobe};
 
 use crate::geometry::Geometry;
@@ -10,7 +10,7 @@ use crate::geometry::Geometry;
 /// Names of the classes of error that are these ways.
 pub const CLASSES: [&str; 4] = ["exact", "chebyshev", "valid", "all"];
 
-/// Distance by which a point counts as nearer than it is, in steps of the lattice.
+/// Distance by which a point counts as nearer than it is, in distances between probes.
 const BIAS: f32 = 0.01;
 
 /// A way.
@@ -77,14 +77,17 @@ impl Reading {
     }
 }
 
-/// `V = 1 where d − bias ≤ μ, else (σ²/(σ² + (d − bias − μ)²))³`, in steps of the lattice.
+/// `V = 1 where d − bias ≤ μ, else (σ²/(σ² + (d − bias − μ)²))³`, in distances between probes.
 fn chebyshev(field: &FieldTable, probe: u32, to: Vec3) -> f32 {
-    let distance = to.length() / field.spacing_m;
+    let spacing_m = match &field.between {
+        Between::Lattice(_) => field.spacing_m,
+        Between::Tetrahedra(tetrahedra) => tetrahedra.cell_m,
+    };
+    let distance = to.length() / spacing_m;
     if distance < 1e-6 {
         return 1.0;
     }
-    let far =
-        |ray: usize| (field.distance_m(probe, lobes::directions()[ray]) / field.spacing_m).min(FARTHEST);
+    let far = |ray: usize| (field.distance_m(probe, lobes::directions()[ray]) / spacing_m).min(FARTHEST);
     let [mean, square] = Lobe::around(to.normalize()).moments(far);
     let beyond = distance - BIAS - mean;
     if beyond <= 0.0 {
