@@ -22,7 +22,8 @@ use crate::interrupt::Interrupt;
 #[derive(Args, Debug)]
 #[command(
     after_help = "The first Ctrl-C or SIGTERM finishes the task in hand if it ends within 20 seconds, else gives \
-                        it back; the second ends at once, and the task goes to another worker when its lease runs out."
+                        it back; a second one, half a second later or more, ends at once, and the task goes to another worker when its \
+                        lease runs out."
 )]
 pub struct Arguments {
     #[command(flatten)]
