@@ -167,7 +167,7 @@ impl Figures {
             ([("kind", count.kind.clone()), ("state", count.state.name().to_owned())], count.count)
         };
         gauges(encoder, "tasks", help, tasks.iter().map(label))?;
-        let help = "Ready tasks of running bakes, by kind and what a worker needs.";
+        let help = "Ready tasks that more workers could take, by kind and what a worker needs.";
         gauges(encoder, "ready_tasks", help, demand.iter().map(|demand| (labels_of(demand), demand.ready)))?;
         let help = "For how long the oldest of them has been waiting for a worker.";
         let age = |demand: &Demand| (labels_of(demand), demand.waited_ms as f64 / 1e3);

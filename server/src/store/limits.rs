@@ -22,9 +22,24 @@ pub fn room_for_workers(max_workers: Option<u32>, holders: u64) -> Option<u64> {
     max_workers.map(|most| u64::from(most).saturating_sub(holders))
 }
 
+/// Ready tasks of one kind of a bake, as far as workers that hold none of its tasks yet may take one each. `left` is the room for such
+/// workers that the kinds before it left; none where there is no limit.
+pub fn take_room(left: &mut Option<u64>, ready: u64) -> u64 {
+    let taken = left.map_or(ready, |left| ready.min(left));
+    *left = left.map(|left| left - taken);
+    taken
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn kinds_of_a_bake_share_its_room() {
+        let taken = |mut left| [3, 900, 7].map(|ready| take_room(&mut left, ready));
+        assert_eq!(taken(None), [3, 900, 7]);
+        assert_eq!(taken(Some(5)), [3, 2, 0]);
+    }
 
     #[test]
     fn most_generous_bake_decides_when_a_task_is_given_up() {

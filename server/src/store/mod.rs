@@ -166,7 +166,8 @@ pub struct TaskCount {
     pub count: u64,
 }
 
-/// Ready tasks of running bakes that ask for the same kind of worker; one that two bakes want counts for both.
+/// Ready tasks of running bakes that ask for the same kind of worker, as far as more workers could take them; one that two bakes want
+/// counts for both. A bake with a limit of workers asks for no more tasks than it has places for others, one for each.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Demand {
     /// Task kind.
@@ -175,7 +176,7 @@ pub struct Demand {
     pub needs: Needs,
     /// Their number.
     pub ready: u64,
-    /// For how long the one that has waited longest could have been claimed, in milliseconds: since it became ready, its
+    /// Of bakes that have places: for how long the one that has waited longest could have been claimed, in milliseconds: since it became ready, its
     /// wait after a failure was over, or its bake's pause ended.
     pub waited_ms: u64,
 }
@@ -232,7 +233,7 @@ pub struct Standing {
 pub struct Stats {
     /// Tasks by kind and state, ascending; none with a count of 0.
     pub tasks: Vec<TaskCount>,
-    /// Ready tasks by kind and needs; none with a count of 0.
+    /// Ready tasks that more workers could take, by kind and needs; none with a count of 0.
     pub demand: Vec<Demand>,
     /// Bakes that are running or paused.
     pub bakes_live: u64,

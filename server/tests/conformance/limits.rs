@@ -6,7 +6,7 @@ use lightkiln_proto::api::{Bake, BakeLimits, BakeState, Blame};
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_server::store::{FailVerdict, MAX_ATTEMPTS, POISON_WORKERS, Room, WAIT_MAX_MS};
 
-use crate::support::{TTL_MS, World, request, submission, task};
+use crate::support::{TTL_MS, World, request, submission, task, task_of};
 
 fn workers(most: u32) -> BakeLimits {
     BakeLimits { max_workers: Some(most), ..BakeLimits::default() }
@@ -84,6 +84,32 @@ pub async fn look_tells_who_may_take_tasks_of_a_bake_with_a_limit(world: World) 
     assert_eq!(rooms().await, [(2, room(&["a", "b"], 0)), (3, room(&[], 7)), (9, None)]);
     world.commit(&lease).await;
     assert_eq!(rooms().await[0], (2, room(&["a"], 1)));
+}
+
+pub async fn demand_of_a_bake_with_a_limit_is_its_free_places(world: World) {
+    let demand = async || {
+        let demand = world.store.stats().await.unwrap().demand.into_iter();
+        demand.map(|demand| (demand.kind, demand.ready, demand.waited_ms)).collect::<Vec<_>>()
+    };
+    let of = |kind: &str, ready, waited_ms| (kind.to_owned(), ready, waited_ms);
+    let plan = [tasks("one", 40), vec![task_of("more", "other", &[], 9)]].concat();
+    submit(&world, "one", workers(3), &plan).await;
+    world.clock.advance_ms(1_000);
+    assert_eq!(demand().await, [of("more", 1, 1_000), of("work", 2, 1_000)], "kinds share its places");
+    world.claim("a", 2).await;
+    assert_eq!(demand().await, [of("work", 2, 1_000)], "a worker takes one place, however many tasks");
+    let lease = world.claim_one("b").await;
+    world.claim_one("c").await;
+    assert_eq!(demand().await, [], "nobody else may take any");
+    submit(&world, "two", workers(9), &tasks("two", 4)).await;
+    world.submit("three", &tasks("three", 5)).await;
+    assert_eq!(
+        demand().await,
+        [of("work", 4 + 5, 0)],
+        "few tasks ask for few workers, and other bakes for all"
+    );
+    world.store.release(&lease.token).await.unwrap();
+    assert_eq!(demand().await, [of("work", 1 + 4 + 5, 1_000)]);
 }
 
 /// Claims of many workers at the same moment.

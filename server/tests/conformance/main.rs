@@ -142,6 +142,7 @@ conformance! {
         bake_at_its_limit_of_workers_goes_to_those_that_hold_some_of_it
         bake_at_its_limit_of_workers_holds_no_other_back
         look_tells_who_may_take_tasks_of_a_bake_with_a_limit
+        demand_of_a_bake_with_a_limit_is_its_free_places
         concurrent_claims_keep_to_the_limit_of_workers
         attempts_of_a_bake_count_alone
         lost_workers_of_a_bake_count_instead_of_the_farms

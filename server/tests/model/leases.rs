@@ -78,7 +78,7 @@ impl Farm {
     }
 
     /// Workers that a bake with a limit of them has room for.
-    fn room_of(&self, bake: &BakeEntry) -> Option<Room> {
+    pub(super) fn room_of(&self, bake: &BakeEntry) -> Option<Room> {
         let held = self.leases.values().filter(|lease| lease.bake == bake.id);
         let holders: BTreeSet<String> = held.map(|lease| lease.worker.clone()).collect();
         let others = limits::room_for_workers(bake.new.limits.max_workers, holders.len() as u64)?;

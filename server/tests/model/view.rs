@@ -10,6 +10,7 @@ use lightkiln_proto::jobs::TaskSpec;
 
 use super::entries::{BakeEntry, Member, Stage};
 use super::farm::Farm;
+use lightkiln_server::store::limits;
 use lightkiln_server::store::rules::{WORKER_LISTED_MS, results_on_page};
 use lightkiln_server::store::{Demand, Named, Stats, StoreError, TaskCount, TaskState};
 
@@ -168,6 +169,22 @@ impl Farm {
         self.ready_since_ms = ready;
     }
 
+    /// Ready tasks of a bake and the longest wait of one, by kind.
+    fn ready_by_kind(&self, bake: &BakeEntry, now_ms: i64) -> BTreeMap<String, (u64, u64)> {
+        let mut ready = BTreeMap::new();
+        let open = bake.members.iter().filter(|(_, member)| !member.done);
+        for (key, task) in open.filter_map(|(key, _)| Some((key, self.tasks.get(key)?))) {
+            let since_ms = self.ready_since_ms.get(&(bake.id.clone(), *key));
+            let Some(since_ms) = since_ms.filter(|_| self.state_of(task) == TaskState::Ready) else {
+                continue;
+            };
+            let waited_ms = u64::try_from(now_ms - task.not_before_ms.max(*since_ms)).unwrap_or(0);
+            let entry = ready.entry(task.spec.kind.clone()).or_insert((0, 0));
+            *entry = (entry.0 + 1, waited_ms.max(entry.1));
+        }
+        ready
+    }
+
     pub(super) fn stats(&self, now_ms: i64) -> Stats {
         let mut counts = BTreeMap::new();
         for task in self.tasks.values() {
@@ -176,18 +193,16 @@ impl Farm {
         let tasks = counts.into_iter().map(|((kind, state), count)| TaskCount { kind, state, count });
         let mut demand = BTreeMap::new();
         for bake in self.bakes.iter().filter(|bake| bake.state == BakeState::Running) {
-            let open = bake.members.iter().filter(|(_, member)| !member.done);
-            for (key, task) in open.filter_map(|(key, _)| Some((key, self.tasks.get(key)?))) {
-                let since_ms = self.ready_since_ms.get(&(bake.id.clone(), *key));
-                let Some(since_ms) = since_ms.filter(|_| self.state_of(task) == TaskState::Ready) else {
-                    continue;
-                };
-                let waited_ms = u64::try_from(now_ms - task.not_before_ms.max(*since_ms)).unwrap_or(0);
-                let (kind, needs) = (task.spec.kind.clone(), bake.new.needs.clone());
-                let entry = demand.entry((kind.clone(), serde_json::json!(needs).to_string()));
-                let entry = entry.or_insert(Demand { kind, needs, ready: 0, waited_ms });
-                entry.ready += 1;
-                entry.waited_ms = entry.waited_ms.max(waited_ms);
+            let mut left = self.room_of(bake).map(|room| room.others);
+            for (kind, (ready, waited_ms)) in self.ready_by_kind(bake, now_ms) {
+                let ready = limits::take_room(&mut left, ready);
+                if ready > 0 {
+                    let needs = bake.new.needs.clone();
+                    let entry = demand.entry((kind.clone(), serde_json::json!(needs).to_string()));
+                    let entry = entry.or_insert(Demand { kind, needs, ready: 0, waited_ms });
+                    entry.ready += ready;
+                    entry.waited_ms = entry.waited_ms.max(waited_ms);
+                }
             }
         }
         Stats {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use lightkiln_proto::api::{
-    Bake, BakeEvent, BakeLimits, BakeResult, BakeState, EventPage, ResultPage, StageCount, Worker,
+    Bake, BakeEvent, BakeLimits, BakeResult, BakeState, EventPage, Needs, ResultPage, StageCount, Worker,
 };
 use lightkiln_proto::ids::Digest;
 
@@ -11,6 +11,7 @@ use super::alarms;
 use super::conn::{Conn, Row, corrupt, query};
 use super::ledger::{seq_of, state_from};
 use super::reruns;
+use crate::store::limits;
 use crate::store::rules::{WORKER_LISTED_MS, results_on_page};
 use crate::store::{Demand, Result, Stats, StoreError, TaskCount, TaskState};
 
@@ -199,27 +200,7 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
         tasks.push(TaskCount { kind: row.get("kind")?, state, count: row.count("count")? });
     }
     tasks.sort();
-    let sql = conn.pick(
-        "SELECT c.kind, b.needs, sum(c.count) AS ready,
-         min((SELECT max(r.not_before_ms, r.since_ms) FROM ready r INDEXED BY ready_by_age WHERE r.bake = c.bake AND r.kind = c.kind
-              ORDER BY max(r.not_before_ms, r.since_ms) LIMIT 1)) AS oldest_ms
-         FROM ready_counts c JOIN bakes b ON b.seq = c.bake WHERE b.state = 'running' GROUP BY c.kind, b.needs",
-        "SELECT c.kind, b.needs, CAST(sum(c.count) AS BIGINT) AS ready,
-         min((SELECT greatest(r.not_before_ms, r.since_ms) FROM ready r WHERE r.bake = c.bake AND r.kind = c.kind
-              ORDER BY greatest(r.not_before_ms, r.since_ms) LIMIT 1)) AS oldest_ms
-         FROM (SELECT bake, kind, sum(count) AS count FROM ready_counts GROUP BY bake, kind
-               HAVING sum(count) > 0) AS c JOIN bakes b ON b.seq = c.bake
-         WHERE b.state = 'running' GROUP BY c.kind, b.needs",
-    );
-    let mut demand = Vec::new();
-    for row in query(sql).all(conn).await? {
-        // Counts that say otherwise than the rows, as after a repair by hand, take no page down.
-        let Some(oldest_ms) = row.get::<Option<i64>>("oldest_ms")? else { continue };
-        let waited_ms = u64::try_from(conn.now_ms - oldest_ms).unwrap_or(0);
-        let (kind, needs, ready) = (row.get("kind")?, row.json("needs")?, row.count("ready")?);
-        demand.push(Demand { kind, needs, ready, waited_ms });
-    }
-    demand.sort_by_cached_key(|demand| (demand.kind.clone(), serde_json::json!(demand.needs).to_string()));
+    let demand = demand(conn).await?;
     let sql = "SELECT count(*) AS total, count(*) FILTER (WHERE state IN ('running', 'paused')) AS live,
                CAST(coalesce(sum(tasks_run), 0) AS BIGINT) + (SELECT tasks_run FROM farm_totals) AS run,
                CAST(coalesce(sum(tasks_reused), 0) AS BIGINT) + (SELECT tasks_reused FROM farm_totals) AS reused
@@ -238,6 +219,72 @@ pub(super) async fn stats(conn: &mut Conn) -> Result<Stats> {
         reruns_waiting,
         reruns_lapsed,
     })
+}
+
+/// Ready tasks of running bakes by kind and needs; those of a bake with a limit of workers (`limited`, else 0) apart.
+macro_rules! ready_by_needs {
+    ($ready:literal, $oldest:literal, $counts:literal) => {
+        concat!(
+            "SELECT c.kind, b.needs, CASE WHEN b.max_workers IS NULL THEN 0 ELSE b.seq END AS limited,
+             max(b.max_workers) AS max_workers,
+             max(CASE WHEN b.max_workers IS NULL THEN 0
+                      ELSE (SELECT count(DISTINCT l.worker) FROM leases l WHERE l.bake = b.seq) END) AS holders, ",
+            $ready,
+            " AS ready, min((",
+            $oldest,
+            ")) AS oldest_ms FROM ",
+            $counts,
+            " c JOIN bakes b ON b.seq = c.bake WHERE b.state = 'running'
+             GROUP BY c.kind, b.needs, CASE WHEN b.max_workers IS NULL THEN 0 ELSE b.seq END"
+        )
+    };
+}
+
+async fn demand(conn: &mut Conn) -> Result<Vec<Demand>> {
+    let sql = conn.pick(
+        ready_by_needs!(
+            "sum(c.count)",
+            "SELECT max(r.not_before_ms, r.since_ms) FROM ready r INDEXED BY ready_by_age WHERE r.bake = c.bake AND r.kind = c.kind
+             ORDER BY max(r.not_before_ms, r.since_ms) LIMIT 1",
+            "ready_counts"
+        ),
+        ready_by_needs!(
+            "CAST(sum(c.count) AS BIGINT)",
+            "SELECT greatest(r.not_before_ms, r.since_ms) FROM ready r WHERE r.bake = c.bake AND r.kind = c.kind
+             ORDER BY greatest(r.not_before_ms, r.since_ms) LIMIT 1",
+            "(SELECT bake, kind, sum(count) AS count FROM ready_counts GROUP BY bake, kind HAVING sum(count) > 0)"
+        ),
+    );
+    // By bake with a limit, in the order of kinds: these share its places.
+    let mut asked: BTreeMap<(i64, String, String), (Option<u64>, Demand)> = BTreeMap::new();
+    for row in query(sql).all(conn).await? {
+        // Counts that say otherwise than the rows, as after a repair by hand, take no page down.
+        let Some(oldest_ms) = row.get::<Option<i64>>("oldest_ms")? else { continue };
+        let max_workers = row.get::<Option<i64>>("max_workers")?.and_then(|most| u32::try_from(most).ok());
+        let others = limits::room_for_workers(max_workers, row.count("holders")?);
+        let waited_ms = u64::try_from(conn.now_ms - oldest_ms).unwrap_or(0);
+        let (kind, needs, ready): (String, Needs, u64) =
+            (row.get("kind")?, row.json("needs")?, row.count("ready")?);
+        let place = (row.get("limited")?, kind.clone(), serde_json::json!(needs).to_string());
+        asked.insert(place, (others, Demand { kind, needs, ready, waited_ms }));
+    }
+    Ok(together(asked))
+}
+
+/// Adds what bakes with a limit ask for, within their places, to the demand of those without one.
+fn together(asked: BTreeMap<(i64, String, String), (Option<u64>, Demand)>) -> Vec<Demand> {
+    let mut left: BTreeMap<i64, Option<u64>> = BTreeMap::new();
+    let mut demand: BTreeMap<(String, String), Demand> = BTreeMap::new();
+    for ((limited, kind, needs), (others, asked)) in asked {
+        let ready = limits::take_room(left.entry(limited).or_insert(others), asked.ready);
+        if ready > 0 {
+            let waited_ms = asked.waited_ms;
+            let entry = demand.entry((kind, needs)).or_insert(Demand { ready: 0, ..asked });
+            entry.ready += ready;
+            entry.waited_ms = entry.waited_ms.max(waited_ms);
+        }
+    }
+    demand.into_values().collect()
 }
 
 /// Puts the parts of counts together that sessions left.
