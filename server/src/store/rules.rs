@@ -44,6 +44,12 @@ pub const CHUNK_USED_GRAIN_MS: i64 = 60_000;
 /// Most attempts at a task that are given back because their workers were silent for longer than a lease, and alive. More
 /// → a database that is slow for long fails fewer bakes, and a worker that is stuck again and again holds a task up for longer.
 pub const MAX_PARDONS: u32 = MAX_ATTEMPTS;
+/// Leases of a task that ran out are remembered, for holders that are heard later, up to this number; beyond it those alone that count as
+/// losses, which are bounded. More → results that come later still are compared, in more rows of tasks that nobody begins.
+pub const MAX_EXPIRED: u32 = 64;
+/// Results of a bake's tasks that differ are told in its log up to this number; all are counted. More → longer logs of bakes whose tasks give
+/// other bytes each time.
+pub const MAX_ALARMS_TOLD: u32 = 100;
 /// Most times that a lease is given its whole length again, for the farm's silence, before its worker is heard. More → workers
 /// outlast more restarts in quick succession, and while a server crashes again and again, tasks of dead workers wait longer.
 pub const MAX_GRACES: u32 = 5;

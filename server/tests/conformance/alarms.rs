@@ -4,6 +4,7 @@ use std::slice::from_ref;
 
 use lightkiln_proto::api::{Bake, BakeState, CommitVerdict, EventKind, Lease};
 use lightkiln_proto::jobs::{Artefact, TaskResult};
+use lightkiln_server::store::rules::{MAX_ALARMS_TOLD, MAX_EXPIRED};
 
 use crate::support::{TTL_MS, World, output, outputs, result, task};
 
@@ -101,6 +102,44 @@ pub async fn late_result_with_other_outputs_is_an_alarm_whichever_came_first(wor
             assert_eq!(world.state(&bake).await, BakeState::Done);
         }
     }
+}
+
+pub async fn bake_is_told_of_the_first_alarms_and_counts_all(world: World) {
+    const MORE: usize = MAX_ALARMS_TOLD as usize + 2;
+    let plan: Vec<_> = (0..MORE).map(|number| task(&number.to_string(), &[])).collect();
+    let bake = world.submit("bake", &plan).await;
+    let leases = world.claim("w", MORE as u32).await;
+    assert_eq!(leases.len(), MORE);
+    for lease in &leases {
+        assert_eq!(world.commit(lease).await, CommitVerdict::Committed);
+        let verdict = world.store.commit(&lease.token, &otherwise(lease)).await.unwrap();
+        assert_eq!(verdict, CommitVerdict::AlreadyCommitted);
+    }
+    assert_eq!(told(&world, &bake).await.len(), MAX_ALARMS_TOLD as usize);
+    assert_eq!(world.show(&bake).await.alarms, MORE as u64);
+    assert_eq!(world.store.stats().await.unwrap().alarms, MORE as u64);
+}
+
+pub async fn leases_that_ran_out_and_were_not_begun_are_remembered_up_to_a_number(world: World) {
+    let bake = world.submit("bake", &[task("a", &[])]).await;
+    let (mut first, mut beyond) = (None, None);
+    for number in 0..=MAX_EXPIRED {
+        let lease = world.claim_one(&format!("w{number}")).await;
+        world.clock.advance_ms(TTL_MS);
+        assert_eq!(world.store.reap().await.unwrap().expired, 1);
+        first.get_or_insert_with(|| lease.clone());
+        beyond = Some(lease);
+    }
+    let lost = world.begin_one("lost").await;
+    world.clock.advance_ms(TTL_MS);
+    assert_eq!(world.store.reap().await.unwrap().lost, 1);
+    for late in [first.unwrap(), beyond.unwrap(), lost] {
+        let verdict = world.store.commit(&late.token, &otherwise(&late)).await.unwrap();
+        assert_eq!(verdict, CommitVerdict::Stale);
+    }
+    let lease = world.claim_one("w").await;
+    assert_eq!(world.commit(&lease).await, CommitVerdict::Committed);
+    assert_alarms(&world, &bake, &["lost", "w0"]).await;
 }
 
 pub async fn late_result_with_the_same_outputs_is_none(world: World) {

@@ -61,6 +61,8 @@ conformance! {
         result_that_is_handed_in_again_with_other_outputs_is_an_alarm
         token_that_comes_twice_at_once_with_other_outputs_is_an_alarm_and_the_first_counts
         late_result_with_other_outputs_is_an_alarm_whichever_came_first
+        bake_is_told_of_the_first_alarms_and_counts_all
+        leases_that_ran_out_and_were_not_begun_are_remembered_up_to_a_number
         late_result_with_the_same_outputs_is_none
         result_that_is_made_anew_with_other_outputs_is_an_alarm;
     bakes:

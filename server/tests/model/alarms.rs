@@ -5,7 +5,7 @@ use lightkiln_proto::ids::TaskKey;
 use lightkiln_proto::jobs::{Artefact, TaskResult, TaskSpec};
 
 use super::farm::Farm;
-use lightkiln_server::store::rules::{self, Difference};
+use lightkiln_server::store::rules::{self, Difference, MAX_ALARMS_TOLD};
 
 /// Outputs that an attempt gave, or would have given.
 #[derive(Clone)]
@@ -34,7 +34,9 @@ impl Farm {
         let holds = |index: &usize| self.bakes[*index].members.get(&key).is_some_and(|member| member.held);
         for bake in (0..self.bakes.len()).filter(holds).collect::<Vec<_>>() {
             self.bakes[bake].alarms += 1;
-            self.event(bake, now_ms, event.clone());
+            if self.bakes[bake].alarms <= MAX_ALARMS_TOLD.into() {
+                self.event(bake, now_ms, event.clone());
+            }
         }
     }
 

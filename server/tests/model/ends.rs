@@ -7,7 +7,7 @@ use lightkiln_proto::jobs::TaskSpec;
 use super::entries::{ExpiredEntry, LeaseEntry};
 use super::farm::Farm;
 use lightkiln_server::store::limits;
-use lightkiln_server::store::rules::{self, FarmRules, MAX_PARDONS, WAIT_MAX_MS};
+use lightkiln_server::store::rules::{self, FarmRules, MAX_EXPIRED, MAX_PARDONS, WAIT_MAX_MS};
 use lightkiln_server::store::{FailVerdict, LeaseState, Reaped};
 
 impl Farm {

@@ -1,5 +1,5 @@
-//! Results of one task that differ: a task must give the same bytes wherever it runs. Each such result is noted once, and told to every
-//! bake that holds the task; the result that was there stays.
+//! Results of one task that differ: a task must give the same bytes wherever it runs. Each such result is noted once, counted by every
+//! bake that holds the task, and told in its log if it is among the first; the result that was there stays.
 
 use lightkiln_proto::api::EventKind;
 use lightkiln_proto::jobs::Artefact;
@@ -8,7 +8,7 @@ use super::codec::to_json;
 use super::conn::{Conn, query};
 use super::ledger::Ledger;
 use crate::store::Result;
-use crate::store::rules::{self, Difference};
+use crate::store::rules::{self, Difference, MAX_ALARMS_TOLD};
 
 /// Outputs that an attempt gave, or would have given.
 pub(super) struct Given<'a> {
@@ -49,8 +49,9 @@ pub(super) async fn compare(conn: &mut Conn, task: i64, kept: &[Artefact], given
     let sql =
         "UPDATE bakes SET alarms = alarms + 1 WHERE seq IN (SELECT bake FROM bake_tasks WHERE task = $1)";
     query(sql).bind(task).run(conn).await?;
-    let sql = "SELECT bake FROM bake_tasks WHERE task = $1 ORDER BY bake";
-    for row in query(sql).bind(task).all(conn).await? {
+    // A bake whose tasks give other bytes each time is told of the first ones alone.
+    let sql = "SELECT m.bake FROM bake_tasks m JOIN bakes b ON b.seq = m.bake WHERE m.task = $1 AND b.alarms <= $2 ORDER BY m.bake";
+    for row in query(sql).bind(task).bind(MAX_ALARMS_TOLD).all(conn).await? {
         let mut bake = Ledger::load(conn, row.get("bake")?).await?;
         bake.event(event.clone());
         bake.save(conn).await?;

@@ -188,12 +188,20 @@ pub(super) async fn fail(
     Ok(FailVerdict::Retry)
 }
 
-/// Remembers a lease that ran out, for a holder that is heard later: whether it counts as a loss until then.
+/// Remembers a lease that ran out, for a holder that is heard later: whether it counts as a loss until then. Of those that do not, no more
+/// than a number: a worker may claim again and again, and begin nothing.
 async fn remember(conn: &mut Conn, token: &str, ended: &Ended, counted: bool) -> Result<()> {
     let sql = "INSERT INTO expired (token, task, worker, counted, is_first) SELECT $1, t.id, $2, $4,
                CASE WHEN EXISTS (SELECT 1 FROM losses x WHERE x.task = t.id AND x.worker = $2) THEN 0 ELSE 1 END
-               FROM tasks t WHERE t.id = $3";
-    query(sql).bind(token).bind(&ended.worker).bind(ended.task).bind(i64::from(counted)).run(conn).await?;
+               FROM tasks t WHERE t.id = $3 AND ($4 <> 0 OR (SELECT count(*) FROM expired e WHERE e.task = $3) < $5)";
+    query(sql)
+        .bind(token)
+        .bind(&ended.worker)
+        .bind(ended.task)
+        .bind(i64::from(counted))
+        .bind(rules::MAX_EXPIRED)
+        .run(conn)
+        .await?;
     Ok(())
 }
 
