@@ -8,6 +8,9 @@
 //!              ▼                      ▼                                                       ▼
 //!       nothing was attempted   an attempt failed, until its worker is heard          an attempt is pardoned
 //! ```
+//! A worker that ends without a word may tell so at its next start, of each lease that it had: a loss, unless the lease is `granted`. A
+//! worker says that it has a task when it begins it, so that leases which came with one claim and wait for their turn are none.
+//!
 //! A lease that its holder ends (commit, failure, release), or whose task was dropped, is gone in any state.
 //!
 //! The claim asks for the length of the lease (`ttl_secs`, within [`crate::farm::TTL_SECS`]); each heartbeat gives it anew.

@@ -162,6 +162,23 @@ pub async fn lost_workers_of_a_bake_count_instead_of_the_farms(world: World) {
     assert!(world.show(&bake).await.failure.unwrap().contains("was lost 2 times"));
 }
 
+pub async fn leases_of_a_lost_worker_that_were_not_begun_count_no_attempt(world: World) {
+    let limits = BakeLimits { lost_workers: Some(1), ..BakeLimits::default() };
+    let bake = submit(&world, "bake", limits, &tasks("bake", 3)).await;
+    let leases = world.claim("w", 3).await;
+    for lease in &leases {
+        let verdict =
+            world.store.fail(&lease.token, Blame::Lost, "its next start tells of it").await.unwrap();
+        assert_eq!(verdict, FailVerdict::Retry);
+    }
+    let shown = world.show(&bake).await;
+    assert_eq!((shown.state, shown.attempts_lost, shown.attempts_failed), (BakeState::Running, 0, 0));
+    assert_eq!(world.claim("v", 9).await.len(), 3, "there is nothing to wait for");
+    world.clock.advance_ms(TTL_MS);
+    assert_eq!(world.store.reap().await.unwrap().expired, 3);
+    assert_eq!(fail(&world, "w", Blame::Lost).await, FailVerdict::GivenUp, "this one was begun");
+}
+
 pub async fn most_generous_bake_decides_about_a_task_of_several(world: World) {
     let a = task("a", &[]);
     let strict = BakeLimits { attempts: Some(1), lost_workers: Some(1), ..BakeLimits::default() };

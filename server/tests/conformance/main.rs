@@ -148,6 +148,7 @@ conformance! {
         concurrent_claims_keep_to_the_limit_of_workers
         attempts_of_a_bake_count_alone
         lost_workers_of_a_bake_count_instead_of_the_farms
+        leases_of_a_lost_worker_that_were_not_begun_count_no_attempt
         most_generous_bake_decides_about_a_task_of_several;
     failure:
         task_fault_fails_every_bake_that_wants_it

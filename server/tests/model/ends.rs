@@ -48,6 +48,7 @@ impl Farm {
             }
             Blame::Worker if lease.input_lost => Some(0),
             Blame::Worker => self.blame_worker(&lease, &message, now_ms),
+            Blame::Lost if lease.state == LeaseState::Granted => Some(0),
             Blame::Lost => self.count_loss(&lease, &message, (rules, now_ms)),
         };
         let Some(wait_ms) = wait_ms else { return FailVerdict::GivenUp };
@@ -197,7 +198,10 @@ impl Farm {
             let is_lost = lease.state != LeaseState::Granted && !is_pardoned && !took_too_long;
             let is_first = !task.lost_with.contains(&lease.worker);
             let expired = ExpiredEntry { key, worker: lease.worker.clone(), counted: is_lost, is_first };
-            self.expired.insert(token, expired);
+            let remembered = self.expired.values().filter(|expired| expired.key == key).count();
+            if is_lost || remembered < MAX_EXPIRED as usize {
+                self.expired.insert(token, expired);
+            }
             let wait_ms = if is_lost {
                 reaped.lost += 1;
                 self.count_loss(&lease, &rules::expiry_message(&lease.worker), (rules, now_ms))

@@ -177,6 +177,8 @@ pub(super) async fn fail(
         }
         Blame::Worker if ended.input_lost => Some(0),
         Blame::Worker => blame_worker(conn, &ended, &message).await?,
+        // It came with others and was not begun when its worker ended: that tells nothing of the task.
+        Blame::Lost if ended.state == LeaseState::Granted => Some(0),
         Blame::Lost => count_loss(conn, &ended, &message, farm).await?,
     };
     let Some(wait_ms) = wait_ms else { return Ok(FailVerdict::GivenUp) };

@@ -31,6 +31,8 @@ use faults::Dice;
 use troupe::Troupe;
 use verdict::Books;
 
+pub use verdict::all_events;
+
 /// Dice of a short run.
 const SEED: u64 = 1;
 /// The shortest lease there is, so that workers are missed soon.

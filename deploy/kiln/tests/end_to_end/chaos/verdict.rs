@@ -59,7 +59,8 @@ impl Books {
     }
 }
 
-fn all_events(client: &ApiClient, bake: &str) -> Vec<BakeEvent> {
+/// Events of a bake so far.
+pub fn all_events(client: &ApiClient, bake: &str) -> Vec<BakeEvent> {
     let mut events: Vec<BakeEvent> = Vec::new();
     loop {
         let seen = events.last().map_or(0, |event| event.seq);
