@@ -16,6 +16,7 @@ mod evaluation;
 mod export;
 mod farm;
 mod full_disk;
+mod limits;
 mod losses;
 mod manners;
 #[path = "../../../../server/tests/parts/mod.rs"]
