@@ -2,11 +2,11 @@
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use lightkiln_http::{CallError, ShutdownFlag};
+use lightkiln_http::{CallError, Level, ShutdownFlag};
 use lightkiln_proto::api::{Blame, CommitVerdict, Failure, Lease, TaskResult};
 use lightkiln_proto::problem::{ProblemCode, chain};
 use lightkiln_proto::trace::TARGET;
@@ -85,23 +85,34 @@ impl Worker {
         };
         let mut output = output.map_err(no_result_of_task)?;
         count(&mut output, started.elapsed(), store.progress);
-        let artefacts = output.artefacts;
-        let mut result = TaskResult {
+        let artefacts: Vec<_> =
+            output.artefacts.into_iter().map(|(name, bytes)| (name, Arc::new(bytes))).collect();
+        let mut result = Arc::new(TaskResult {
             outputs: Vec::new(),
             plan: output.plan,
             counters: output.counters,
             note: output.note,
-        };
+        });
         let mut uploads = 0;
         loop {
             uploads += 1;
-            result.outputs = match store.put_all(&artefacts) {
+            Arc::make_mut(&mut result).outputs = match store.put_all(&artefacts) {
                 Ok(outputs) => outputs,
                 Err(error) => return Err(no_result_of_call("the outputs could not be stored", error)),
             };
             let _span = step(|| tracing::info_span!(target: TARGET, "commit")).entered();
-            match store.insist(|| self.results.hand_in(&self.farm, &lease.token, &result)) {
+            match self.hand_in(lease, &result, store) {
                 Ok(verdict) => return Ok(verdict),
+                Err(CallError::Stopped) => {
+                    if store.shutdown.level() > Level::Run {
+                        let label = &lease.task.label;
+                        tracing::warn!(
+                            label,
+                            "the server did not take a result in time; its task runs again elsewhere"
+                        );
+                    }
+                    return Err(NoResult::Stopped);
+                }
                 // A database that dies forgets the last moments; uploads of then have to be told again.
                 Err(error) if error.code() == Some(ProblemCode::NotStored) && uploads < UPLOADS_MAX => {
                     tracing::warn!(%error, "the server no longer knows of an output; uploading again");
@@ -109,6 +120,16 @@ impl Worker {
                 Err(error) => return Err(no_result_of_call("the result was not accepted", error)),
             }
         }
+    }
+
+    fn hand_in(
+        &self,
+        lease: &Lease,
+        result: &Arc<TaskResult>,
+        store: &LeaseStore<'_>,
+    ) -> Result<CommitVerdict, CallError> {
+        let (results, token, result) = (self.results.clone(), lease.token.clone(), result.clone());
+        store.insist(move |farm| results.hand_in(farm, &token, &result))
     }
 
     fn run_task(
@@ -151,13 +172,15 @@ impl Worker {
             (Err(_), Some(StopReason::Exhausted(blame))) => Outcome::Failed(blame),
             (Err(NoResult::Stopped), reason) | (Err(NoResult::Failed(_)), reason @ Some(_)) => {
                 tracing::info!(kind = lease.task.kind, label, ?reason, "given back");
-                tell("release", &watch.last_words(), || self.farm.release(&lease.token));
+                let token = lease.token.clone();
+                tell("release", &self.farm, &watch.last_words(), move |farm| farm.release(&token));
                 Outcome::Released
             }
             (Err(NoResult::Failed(failure)), None) => {
                 tracing::warn!(kind = lease.task.kind, label, message = failure.message, "failed");
-                tell("failure", &watch.last_words(), || self.farm.fail(&lease.token, &failure));
-                Outcome::Failed(failure.blame)
+                let (token, blame) = (lease.token.clone(), failure.blame);
+                tell("failure", &self.farm, &watch.last_words(), move |farm| farm.fail(&token, &failure));
+                Outcome::Failed(blame)
             }
         }
     }

@@ -16,8 +16,8 @@ const CALL_TIMEOUT: Duration = Duration::from_secs(15);
 /// Longest time for an artefact to cross.
 const TRANSFER_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// A server that gives out tasks.
-#[derive(Debug)]
+/// A server that gives out tasks. Clones share connections.
+#[derive(Clone, Debug)]
 pub(super) struct Farm(HttpClient);
 
 impl Farm {

@@ -7,6 +7,7 @@
 //! bytes, so doing one twice is a waste and never an error.
 
 mod abreast;
+mod aside;
 mod attempt;
 mod claim;
 mod crowd;
@@ -196,7 +197,7 @@ pub struct Worker {
     claiming: Mutex<VecDeque<Lease>>,
     /// Those who have no task.
     idle: AtomicUsize,
-    results: Results,
+    results: Arc<Results>,
 }
 
 /// Exchanges a code for the right to work with `token`, which whoever calls made and keeps; the worker's name on the farm.
@@ -241,7 +242,7 @@ impl Worker {
             crowd: Crowd::new(config.tasks),
             claiming: Mutex::default(),
             idle: AtomicUsize::new(0),
-            results: Results::default(),
+            results: Arc::default(),
             config,
         })
     }

@@ -90,10 +90,12 @@ impl Worker {
 
     /// Gives tasks back that were not begun: they count no attempt.
     pub(super) fn give_back_untried(&self, leases: impl IntoIterator<Item = Lease>, shutdown: &ShutdownFlag) {
+        // For all together: a worker that is to end waits once for a server that is away.
+        let patience = LastWords::lasting(shutdown, Duration::from_secs(self.config.lease_secs.into()));
         for lease in leases {
             tracing::info!(kind = lease.task.kind, label = lease.task.label, "given back untried");
-            let patience = LastWords::lasting(shutdown, Duration::from_secs(self.config.lease_secs.into()));
-            tell("release", &patience, || self.farm.release(&lease.token));
+            let token = lease.token.clone();
+            tell("release", &self.farm, &patience, move |farm| farm.release(&token));
             if let Some(seat) = &self.config.seat {
                 seat.let_go(&lease.token);
             }

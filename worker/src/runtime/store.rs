@@ -2,6 +2,7 @@
 //! task is given up.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use lightkiln_http::{CallError, DiskCache, FOREVER, Level, ShutdownFlag, retry};
 use lightkiln_proto::api::MAX_CHUNK_BYTES;
@@ -10,12 +11,16 @@ use lightkiln_proto::jobs::Artefact;
 use lightkiln_proto::trace::TARGET;
 
 use super::abreast::abreast;
+use super::aside::Aside;
 use super::farm::Farm;
 use super::trace::step;
 use crate::task::{ArtefactSource, Cancelled, FetchError, Progress};
 
 /// Times that an artefact may arrive with other bytes than its digest says.
 const DAMAGED_ARRIVALS_MAX: u32 = 3;
+
+/// Longer than any call takes; it ends by its own timeout first.
+const PATIENCE: Duration = Duration::from_secs(3600);
 
 /// Artefacts for the length of one lease.
 pub(super) struct LeaseStore<'a> {
@@ -26,24 +31,32 @@ pub(super) struct LeaseStore<'a> {
 }
 
 impl LeaseStore<'_> {
-    /// Makes `call` until it succeeds, is refused for good, or the task is given up.
-    pub(super) fn insist<T>(&self, call: impl FnMut() -> Result<T, CallError>) -> Result<T, CallError> {
+    /// Makes `call` until it succeeds, is refused for good, or the task is given up: then nobody waits for an answer any more.
+    pub(super) fn insist<T: Send + 'static>(
+        &self,
+        call: impl Fn(&Farm) -> Result<T, CallError> + Clone + Send + 'static,
+    ) -> Result<T, CallError> {
         let is_given_up = |level| level == Level::Stop || self.progress.is_cancelled();
         let check = |level| if is_given_up(level) { Err(CallError::Stopped) } else { Ok(()) };
         check(self.shutdown.level())?;
-        retry(FOREVER, call, |error, wait| {
+        let once = || {
+            let (farm, call) = (self.farm.clone(), call.clone());
+            let aside = Aside::begin(self.shutdown, move || call(&farm));
+            aside.wait(PATIENCE, is_given_up).unwrap_or(Err(CallError::Stopped))
+        };
+        retry(FOREVER, once, |error, wait| {
             tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "a call failed; trying again");
             check(self.shutdown.wait(wait, is_given_up))
         })
     }
 
     /// Stores artefacts by their names, many at a time, as [`Self::put`] does each.
-    pub(super) fn put_all(&self, artefacts: &[(String, Vec<u8>)]) -> Result<Vec<Artefact>, CallError> {
+    pub(super) fn put_all(&self, artefacts: &[(String, Arc<Vec<u8>>)]) -> Result<Vec<Artefact>, CallError> {
         abreast(artefacts, |(name, bytes)| self.put(name.clone(), bytes))
     }
 
     /// Stores an artefact unless the server has it, and keeps it for tasks that read it here.
-    fn put(&self, name: String, bytes: &[u8]) -> Result<Artefact, CallError> {
+    fn put(&self, name: String, bytes: &Arc<Vec<u8>>) -> Result<Artefact, CallError> {
         let length = bytes.len() as u64;
         // Asked for here, as a server may hang up on an upload before its refusal is read.
         if length > MAX_CHUNK_BYTES {
@@ -53,8 +66,9 @@ impl LeaseStore<'_> {
         let digest = Digest::of(bytes);
         let _span =
             step(|| tracing::info_span!(target: TARGET, "upload", name, %digest, bytes = length)).entered();
-        if !self.insist(|| self.farm.has_artefact(digest, length))? {
-            self.insist(|| self.farm.put_artefact(digest, bytes))?;
+        if !self.insist(move |farm| farm.has_artefact(digest, length))? {
+            let sent = bytes.clone();
+            self.insist(move |farm| farm.put_artefact(digest, &sent))?;
         }
         self.keep(digest, bytes);
         Ok(Artefact { name, digest, bytes: length })
@@ -71,7 +85,7 @@ impl LeaseStore<'_> {
         let _span = step(|| tracing::info_span!(target: TARGET, "fetch", %digest)).entered();
         for _ in 0..DAMAGED_ARRIVALS_MAX {
             let arrived =
-                self.insist(|| self.farm.artefact(digest)).map_err(|error| unavailable(digest, error))?;
+                self.insist(move |farm| farm.artefact(digest)).map_err(|error| unavailable(digest, error))?;
             let bytes = arrived.ok_or(FetchError::NotFound { digest })?;
             if Digest::of(&bytes) == digest {
                 return Ok(bytes);
@@ -102,7 +116,7 @@ impl ArtefactSource for LeaseStore<'_> {
     /// Asks the server, as this worker's own copy is nobody else's.
     fn require(&self, artefact: &Artefact) -> Result<(), FetchError> {
         let Artefact { digest, bytes, .. } = *artefact;
-        match self.insist(|| self.farm.has_artefact(digest, bytes)) {
+        match self.insist(move |farm| farm.has_artefact(digest, bytes)) {
             Ok(true) => Ok(()),
             Ok(false) => Err(FetchError::NotFound { digest }),
             Err(error) => Err(unavailable(digest, error)),

@@ -1,5 +1,6 @@
 //! Keeps a lease while its task runs, and tells the task to stop when the server, or whoever ends this worker, says so.
 
+use std::cell::Cell;
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,6 +9,7 @@ use std::time::{Duration, Instant};
 use lightkiln_http::{CallError, FOREVER, Level, ShutdownFlag, retry};
 use lightkiln_proto::api::{Blame, Failure, Verdict};
 
+use super::aside::Aside;
 use super::farm::Farm;
 use super::memory::{Exhausted, MemoryWatch};
 use super::store::LeaseStore;
@@ -15,6 +17,13 @@ use crate::task::Progress;
 
 /// Most characters of a failure message.
 const MESSAGE_CHARS_MAX: usize = 4000;
+
+/// Longer than any heartbeat takes; it ends by its own timeout first.
+const PATIENCE: Duration = Duration::from_secs(3600);
+
+/// Longest time for which a worker that is to end goes on saying so. Longer → more tasks need not wait for their leases' end when the
+/// server is away for a moment; a worker ends within this time and the grace of its tasks.
+const FAREWELL: Duration = Duration::from_secs(5);
 
 /// Pause after a heartbeat without an answer: a lease has time for several tries.
 pub(super) const RETRY_WAIT: Duration = Duration::from_secs(1);
@@ -53,18 +62,43 @@ pub(super) struct LeaseWatch<'a> {
 /// Time for which a worker goes on saying how an attempt ended.
 pub(super) struct LastWords<'a> {
     shutdown: &'a ShutdownFlag,
-    until: Instant,
+    until: Cell<Instant>,
+    /// The worker is to end.
+    is_last: Cell<bool>,
 }
 
 impl<'a> LastWords<'a> {
     pub(super) fn lasting(shutdown: &'a ShutdownFlag, time: Duration) -> Self {
-        Self { shutdown, until: Instant::now() + time }
+        Self { shutdown, until: Cell::new(Instant::now() + time), is_last: Cell::new(false) }
+    }
+
+    /// Time that is left, less once the worker is to end; and the level that was seen.
+    fn left(&self) -> (Duration, Level) {
+        let (now, level) = (Instant::now(), self.shutdown.level());
+        if level > Level::Run && !self.is_last.replace(true) {
+            self.until.set(self.until.get().min(now + FAREWELL));
+        }
+        (self.until.get().saturating_duration_since(now), level)
     }
 
     /// Waits before the next try; false when there is to be none.
-    pub(super) fn wait(&self, wait: Duration) -> bool {
-        let left = self.until.saturating_duration_since(Instant::now());
-        !left.is_zero() && self.shutdown.wait(wait.min(left), |level| level == Level::Stop) < Level::Stop
+    fn wait(&self, wait: Duration) -> bool {
+        let (left, seen) = self.left();
+        let changed = |level| level == Level::Stop || level != seen;
+        !left.is_zero() && self.shutdown.wait(wait.min(left), changed) < Level::Stop
+    }
+
+    /// Makes a call, whose answer is waited for as long as there is time.
+    fn call(&self, call: impl FnOnce() -> Result<(), CallError> + Send + 'static) -> Result<(), CallError> {
+        let aside = Aside::begin(self.shutdown, call);
+        loop {
+            let (left, seen) = self.left();
+            match aside.wait(left, |level| level != seen) {
+                Some(answer) => return answer,
+                None if left.is_zero() => return Err(CallError::Stopped),
+                None => {}
+            }
+        }
     }
 }
 
@@ -104,7 +138,8 @@ impl LeaseWatch<'_> {
             self.shutdown
                 .wait(nap, |level| level != seen || self.finished.load(Ordering::Acquire) || is_over());
             if Instant::now() >= next_beat && !self.finished.load(Ordering::Acquire) {
-                next_beat = Instant::now() + self.beat();
+                let until = drain_deadline.filter(|_| self.stop_reason().is_none());
+                next_beat = Instant::now() + self.beat(until);
             }
         }
     }
@@ -127,24 +162,30 @@ impl LeaseWatch<'_> {
     /// it may say anything: behind a slow line none comes before the next heartbeat would be due, and the task would never start.
     pub(super) fn acknowledge(&self, store: &LeaseStore<'_>) -> Result<(), CallError> {
         let lease = LEASE_INTERVALS * self.interval;
-        let answer = store.insist(|| self.farm.heartbeat(self.token, 0.0, lease))?;
+        let token = self.token.to_owned();
+        let answer = store.insist(move |farm| farm.heartbeat(&token, 0.0, lease))?;
         self.heed(answer.verdict);
         self.progress.check().map_err(|_| CallError::Stopped)
     }
 
-    /// Sends a heartbeat and heeds the answer; gives the time until the next one.
-    pub(super) fn beat(&self) -> Duration {
-        match self.farm.heartbeat(self.token, self.progress.share(), self.interval) {
-            Ok(answer) => {
+    /// Sends a heartbeat and heeds the answer, which is not waited for beyond `until`; gives the time until the next one.
+    pub(super) fn beat(&self, until: Option<Instant>) -> Duration {
+        let (farm, token, interval) = (self.farm.clone(), self.token.to_owned(), self.interval);
+        let (share, seen) = (self.progress.share(), self.shutdown.level());
+        let aside = Aside::begin(self.shutdown, move || farm.heartbeat(&token, share, interval));
+        let left = until.map_or(PATIENCE, |until| until.saturating_duration_since(Instant::now()));
+        let is_over = |level| level != seen || self.finished.load(Ordering::Acquire);
+        match aside.wait(left, is_over) {
+            Some(Ok(answer)) => {
                 self.heed(answer.verdict);
-                self.interval
+                return self.interval;
             }
             // The work goes on: if the lease outlives the outage the result counts, else the server refuses it.
-            Err(error) => {
-                tracing::warn!(%error, "a heartbeat found no answer");
-                RETRY_WAIT.min(self.interval)
-            }
+            Some(Err(error)) => tracing::warn!(%error, "a heartbeat found no answer"),
+            // There is more to see to than that answer.
+            None => {}
         }
+        RETRY_WAIT.min(self.interval)
     }
 
     fn heed(&self, verdict: Verdict) {
@@ -171,7 +212,8 @@ impl LeaseWatch<'_> {
 fn report_exhausted(watch: &LeaseWatch<'_>, exhausted: &Exhausted) {
     let failure = Failure { blame: exhausted.blame(), message: cut(&exhausted_message(exhausted)) };
     tracing::error!(failure.message, "a task failed");
-    tell("failure", &watch.last_words(), || watch.farm.fail(watch.token, &failure));
+    let token = watch.token.to_owned();
+    tell("failure", watch.farm, &watch.last_words(), move |farm| farm.fail(&token, &failure));
 }
 
 fn exhausted_message(exhausted: &Exhausted) -> String {
@@ -188,13 +230,22 @@ fn exhausted_message(exhausted: &Exhausted) -> String {
 
 /// Makes a report until it is heard. It is given up when the lease has surely run out, or nobody may wait any more: then
 /// the server finds out by itself, and counts an attempt.
-pub(super) fn tell(what: &str, patience: &LastWords<'_>, mut call: impl FnMut() -> Result<(), CallError>) {
+pub(super) fn tell(
+    what: &str,
+    farm: &Farm,
+    patience: &LastWords<'_>,
+    call: impl Fn(&Farm) -> Result<(), CallError> + Clone + Send + 'static,
+) {
+    let once = || {
+        let (farm, call) = (farm.clone(), call.clone());
+        patience.call(move || call(&farm))
+    };
     let pause = |error: &CallError, wait| {
         tracing::warn!(%error, "a {what} could not be reported yet");
         if patience.wait(wait) { Ok(()) } else { Err(CallError::Stopped) }
     };
     // At once a second time: a connection that was kept open may have been closed meanwhile.
-    if let Err(error) = call().or_else(|_| retry(FOREVER, call, pause)) {
+    if let Err(error) = once().or_else(|_| retry(FOREVER, once, pause)) {
         tracing::warn!(%error, "a {what} could not be reported; the lease will run out instead");
     }
 }

@@ -21,9 +21,9 @@ use crate::interrupt::Interrupt;
 /// Arguments of `kiln worker`.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "The first Ctrl-C or SIGTERM finishes the task in hand if it ends within 20 seconds, else gives \
-                        it back; a second one, half a second later or more, ends at once, and the task goes to another worker when its \
-                        lease runs out."
+    after_help = "The first Ctrl-C or SIGTERM finishes the task in hand if it ends within 20 seconds, its result handed in, \
+                        else gives it back, for 5 seconds at most if the server does not answer: the task goes to another worker \
+                        when its lease runs out. A second signal, half a second later or more, ends at once."
 )]
 pub struct Arguments {
     #[command(flatten)]

@@ -45,8 +45,8 @@ fn heartbeat_without_an_answer_is_soon_sent_again() {
     server.state().refuse = vec!["POST /v1/leases/t1/heartbeat"];
     let held = Held::by(&server);
     let watch = held.watch(LIMIT);
-    assert_eq!(watch.beat(), RETRY_WAIT);
-    assert_eq!(watch.beat(), LIMIT);
+    assert_eq!(watch.beat(None), RETRY_WAIT);
+    assert_eq!(watch.beat(None), LIMIT);
     assert_eq!(watch.stop_reason(), None);
 }
 

@@ -3,6 +3,7 @@
 mod beats;
 pub(super) mod fake_farm;
 mod far;
+mod farewell;
 mod memory;
 mod turns;
 
