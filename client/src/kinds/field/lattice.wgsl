@@ -15,6 +15,7 @@ struct LatticeField {
 
 const NO_PROBE = 0xffffffffu;
 const HIDDEN_M = 0.04;
+const ROUNDED_MOST_M = 1e30;
 const LATTICE_MAX = 1048575.0;
 
 fn is_nowhere(point: vec3f) -> bool {

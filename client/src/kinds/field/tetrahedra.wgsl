@@ -19,6 +19,7 @@ struct TetrahedraField {
 const NO_TETRAHEDRON = 0xffffffffu;
 const TETRAHEDRON_WORDS = 8u;
 const HIDDEN_M = 0.02;
+const ROUNDED_MOST_M = 0.02;
 // Probes of a tetrahedron, of those beyond its faces, and of those beyond theirs.
 const WIDE_MOST = 20u;
 const STEPS_MAX = 64u;

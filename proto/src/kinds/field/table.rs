@@ -172,8 +172,11 @@ impl FieldTable {
             return found;
         }
         let all = wide.iter().map(|&(probe, tent)| (probe, tent, self.excess(probe, point_m)));
-        let is_near =
-            |[excess_m, far_m]: [f32; 2]| excess_m <= ROUNDED_SHARE * far_m && excess_m < self.hidden_m();
+        let rounded_m = match self.between {
+            Between::Lattice(_) => f32::INFINITY,
+            Between::Tetrahedra(_) => HIDDEN_IN_TETRAHEDRA_M,
+        };
+        let is_near = |[excess_m, far_m]: [f32; 2]| excess_m <= ROUNDED_SHARE * far_m && excess_m < rounded_m;
         let all: Vec<_> = all.filter(|(.., excess)| is_near(*excess)).collect();
         let least_m = all.iter().map(|(_, _, [excess_m, _])| *excess_m).fold(f32::INFINITY, f32::min);
         let weight = |(probe, tent, [excess_m, _]): (u32, f32, [f32; 2])| {
