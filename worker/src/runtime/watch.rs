@@ -88,8 +88,11 @@ impl<'a> LastWords<'a> {
         !left.is_zero() && self.shutdown.wait(wait.min(left), changed) < Level::Stop
     }
 
-    /// Makes a call, whose answer is waited for as long as there is time.
+    /// Makes a call while there is time, as long as which its answer is waited for.
     fn call(&self, call: impl FnOnce() -> Result<(), CallError> + Send + 'static) -> Result<(), CallError> {
+        if self.left().0.is_zero() {
+            return Err(CallError::Stopped);
+        }
         let aside = Aside::begin(self.shutdown, call);
         loop {
             let (left, seen) = self.left();
