@@ -74,7 +74,7 @@ struct Judged {
 }
 
 impl Judged {
-    /// What is to be split first: e² times the free volume.
+    /// Urgency: e² times the free volume; the cell with the most is split first.
     fn urgency(&self) -> f32 {
         self.error * self.share * (self.cell.size as f32).powi(3)
     }
