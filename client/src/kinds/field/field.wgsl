@@ -87,7 +87,7 @@ fn with_probe(
     sum: vec4f, probe: u32, tent: f32, point: vec3f, of_normal: array<f32, 9>, how: u32, least_m: f32
 ) -> vec4f {
     let behind = excess(probe, point);
-    let is_near = behind.x <= ROUNDED_SHARE * behind.y && behind.x < ROUNDED_MOST_M;
+    let is_near = behind.x <= ROUNDED_SHARE * behind.y && behind.x < rounded_most_m();
     if how == FIND_LEAST {
         return vec4f(sum.rgb, select(sum.w, behind.x, is_near && (sum.w < 0.0 || behind.x < sum.w)));
     }

@@ -15,8 +15,12 @@ struct LatticeField {
 
 const NO_PROBE = 0xffffffffu;
 const HIDDEN_M = 0.04;
-const ROUNDED_MOST_M = 1e30;
 const LATTICE_MAX = 1048575.0;
+
+// Depth at which a point that no probe sees is lit by none.
+fn rounded_most_m() -> f32 {
+    return max(0.1 * field.spacing_m, 0.04);
+}
 
 fn is_nowhere(point: vec3f) -> bool {
     return any(abs(point / field.spacing_m) > vec3f(LATTICE_MAX));

@@ -19,7 +19,6 @@ struct TetrahedraField {
 const NO_TETRAHEDRON = 0xffffffffu;
 const TETRAHEDRON_WORDS = 8u;
 const HIDDEN_M = 0.02;
-const ROUNDED_MOST_M = 0.02;
 // Probes of a tetrahedron, of those beyond its faces, and of those beyond theirs.
 const WIDE_MOST = 20u;
 const STEPS_MAX = 64u;
@@ -27,6 +26,11 @@ const WITHIN = -1e-5;
 const NEAREST = 0.05;
 // A walk that met nothing.
 const NOWHERE = -1e30;
+
+// Depth at which a point that no probe sees is lit by none.
+fn rounded_most_m() -> f32 {
+    return HIDDEN_M;
+}
 
 fn is_nowhere(point: vec3f) -> bool {
     return field.cells.w == 0 || any(!(abs(point) <= vec3f(1e30)));

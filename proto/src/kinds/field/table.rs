@@ -25,6 +25,10 @@ const HIDDEN_IN_TETRAHEDRA_M: f32 = 0.02;
 /// Share of its distance from a probe by which a point may lie behind a surface and still be lit by that probe where no other sees it:
 /// depth maps round edges off by as much.
 const ROUNDED_SHARE: f32 = 0.15;
+/// Share of a lattice's step that it may lie behind at most, and least such bound in metres: what lies deeper is in a hollow, which light that
+/// far off says nothing about.
+const ROUNDED_STEPS: f32 = 0.1;
+const ROUNDED_LEAST_M: f32 = 0.04;
 /// Depth in metres over which such probes count less, from that of the least on.
 const ROUNDED_M: f32 = 0.01;
 /// Least sum of weights for which a cage's probes count; below it, those of the cages around it do.
@@ -173,7 +177,7 @@ impl FieldTable {
         }
         let all = wide.iter().map(|&(probe, tent)| (probe, tent, self.excess(probe, point_m)));
         let rounded_m = match self.between {
-            Between::Lattice(_) => f32::INFINITY,
+            Between::Lattice(_) => (ROUNDED_STEPS * self.spacing_m).max(ROUNDED_LEAST_M),
             Between::Tetrahedra(_) => HIDDEN_IN_TETRAHEDRA_M,
         };
         let is_near = |[excess_m, far_m]: [f32; 2]| excess_m <= ROUNDED_SHARE * far_m && excess_m < rounded_m;
