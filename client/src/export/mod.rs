@@ -40,7 +40,7 @@ use pages::{PAGE_MAX, Pages};
 
 pub use folder::{check_folder, write};
 pub use materials::{LIGHTMAP, TextureFile};
-pub use probes::ProbeFormat;
+pub use probes::{ProbeFormat, TILE_SIDE, direction_in_tile, texel_behind_border};
 
 /// The GLB's file in an export.
 pub const SCENE_FILE: &str = "scene.glb";
@@ -117,7 +117,7 @@ pub fn check(bake: &LoadedBake, files: &[TextureFile], scale: u32) -> Result<()>
 }
 
 /// Freezes a bake under the light that its receivers have; `emitter_scale` is the emitters' strength, 1 where absent. Equal light gives
-/// equal bytes. Errs for a kind without a lightmap, and where a part is too large for its format.
+/// equal bytes. Errs for a kind that has neither a lightmap nor light in free space, and where a part is too large for its format.
 pub fn export(
     bake: &LoadedBake,
     files: &[TextureFile],
@@ -129,8 +129,11 @@ pub fn export(
     let scene = &bake.scene;
     let (charts, places) = plan(bake, scale)?;
     let lightmap = lightmap_of(bake)?;
-    let shown = shown(lightmap, light, share)?;
-    let blocks = dilate::spread(Shown { lightmap, pages: &shown }, &charts, scale);
+    let spread = |lightmap: Lightmap<'_>| -> Result<Vec<Vec<Vec3>>> {
+        let shown = shown(lightmap, light, share)?;
+        Ok(dilate::spread(Shown { lightmap, pages: &shown }, &charts, scale))
+    };
+    let blocks = lightmap.map_or_else(|| Ok(Vec::new()), spread)?;
     let intensity = intensity_of(blocks.iter().flatten().copied())?;
     let names: Vec<String> = (0..places.sizes.len()).map(|page| format!("lightmap-{page}.ktx2")).collect();
     let mut glb = Glb::default();
@@ -152,6 +155,8 @@ pub fn export(
         (0..places.sizes.len()).into_par_iter().map(|page| page_file(&places, &blocks, page, intensity));
     let written = written.collect::<Result<Vec<_>>>()?;
     all.extend(names.into_iter().zip(written));
+    // Without a lightmap the engine's probes light all.
+    let unlit = if lightmap.is_some() { unlit } else { Unlit::default() };
     let mut warnings = warnings(unlit, &places.sizes);
     if let Some(probes) = probes {
         all.extend(probes.files);
@@ -176,13 +181,17 @@ fn plan(bake: &LoadedBake, scale: u32) -> Result<(Charts, Pages)> {
     Ok((charts, places))
 }
 
-fn lightmap_of(bake: &LoadedBake) -> Result<Lightmap<'_>> {
-    let lightmap = bake.light.lightmap(&bake.scene);
-    lightmap.filter(|lightmap| !lightmap.layout.blocks.is_empty()).ok_or_else(|| ClientError::Source {
+/// The lightmap; none of a kind that has its light in free space alone.
+fn lightmap_of(bake: &LoadedBake) -> Result<Option<Lightmap<'_>>> {
+    let lightmap = bake.light.lightmap(&bake.scene).filter(|lightmap| !lightmap.layout.blocks.is_empty());
+    if lightmap.is_some() || bake.light.free_space().is_some() {
+        return Ok(lightmap);
+    }
+    Err(ClientError::Source {
         text: format!("kind {}", bake.scene.manifest.kind),
-        problem:
-            "has no lightmap to export; bake the scene with a kind that has; 'kiln settings' lists kinds"
-                .to_owned(),
+        problem: "has neither a lightmap nor light in free space to export; bake the scene with a kind that has; 'kiln settings' \
+                  lists kinds"
+            .to_owned(),
     })
 }
 

@@ -1,5 +1,6 @@
 //! Kinds of bake that this client plays, a folder each.
 
+pub mod captured;
 pub mod cloud;
 pub mod field;
 pub mod grid;
@@ -10,5 +11,10 @@ use crate::bake::ClientKinds;
 
 /// All of them.
 pub fn all() -> ClientKinds {
-    ClientKinds::new().with(prt::Prt).with(sh::Sh).with(grid::Grid).with(cloud::Cloud)
+    ClientKinds::new()
+        .with(prt::Prt)
+        .with(sh::Sh)
+        .with(grid::Grid)
+        .with(cloud::Cloud)
+        .with(captured::Captured)
 }

@@ -3,6 +3,7 @@
 //!
 //! A kind is one folder here, one in `worker/src/kinds`, one in `client/src/kinds`, and one row in each table.
 
+pub mod captured;
 pub mod cloud;
 pub mod field;
 mod figures;
@@ -102,7 +103,7 @@ pub struct Kinds(Vec<&'static dyn Kind>);
 impl Kinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured])
     }
 
     /// The table with one more kind.

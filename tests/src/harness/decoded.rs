@@ -4,11 +4,11 @@ use anyhow::{Context, Result, bail, ensure};
 use glam::{DVec3, Vec3, Vec4};
 use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, Texel};
-use lightkiln_proto::kinds::{cloud, field, grid, prt, sh};
+use lightkiln_proto::kinds::{captured, cloud, field, grid, prt, sh};
 use lightkiln_proto::manifest::CLUSTERS;
 use lightkiln_proto::relight::PatchTable;
 use lightkiln_worker::evaluate::EvaluationError;
-use lightkiln_worker::factors::{Baked, Light};
+use lightkiln_worker::factors::{Baked, Light, Threads};
 use lightkiln_worker::geometry::Site;
 use lightkiln_worker::reference::Lighting;
 
@@ -79,16 +79,7 @@ impl Decoded {
     /// The field of a bake that has one.
     pub fn field(&self, bake: &LocalBake) -> Result<field::FieldTable> {
         let Self::Patches(baked) = self else { bail!("a field reads patches") };
-        let chunks = bake.manifest.chunks(field::FIELD).iter();
-        let parts: Vec<field::FieldPart> = chunks
-            .map(|chunk| Ok(field::decode_field(&bake.chunk(chunk.digest)?)?))
-            .collect::<Result<_>>()?;
-        let emitters = bake.manifest.emitters.len();
-        let tetrahedra = bake.manifest.chunks(cloud::TETRAHEDRA).first();
-        let tetrahedra = tetrahedra
-            .map(|chunk| Ok::<_, anyhow::Error>(field::decode_tetrahedra(&bake.chunk(chunk.digest)?)?));
-        let tetrahedra = tetrahedra.transpose()?;
-        Ok(field::FieldTable::join(&parts, tetrahedra.as_ref(), emitters, &baked.transport.columns)?)
+        joined(bake, &baked.transport.columns)
     }
 
     /// Slot of a texel; `None` for those that no light can reach.
@@ -102,6 +93,26 @@ impl Decoded {
         let table = either!(self, baked => &baked.transport.receivers);
         [table.position_m[slot], table.normal[slot], table.albedo[slot]].map(Vec4::truncate)
     }
+}
+
+/// The field of a bake whose light is captured, and its coefficients at probes.
+pub fn captured(bake: &LocalBake) -> Result<(field::FieldTable, Vec<Vec4>)> {
+    let table = joined(bake, &captured::columns()?)?;
+    let rows = table.relit(&Threads, &captured::LAMBDA, &[]);
+    Ok((table, rows))
+}
+
+/// The field of a bake over some columns.
+fn joined(bake: &LocalBake, columns: &PatchTable) -> Result<field::FieldTable> {
+    let chunks = bake.manifest.chunks(field::FIELD).iter();
+    let parts: Vec<field::FieldPart> =
+        chunks.map(|chunk| Ok(field::decode_field(&bake.chunk(chunk.digest)?)?)).collect::<Result<_>>()?;
+    let emitters = bake.manifest.emitters.len();
+    let tetrahedra = bake.manifest.chunks(cloud::TETRAHEDRA).first();
+    let tetrahedra =
+        tetrahedra.map(|chunk| Ok::<_, anyhow::Error>(field::decode_tetrahedra(&bake.chunk(chunk.digest)?)?));
+    let tetrahedra = tetrahedra.transpose()?;
+    Ok(field::FieldTable::join(&parts, tetrahedra.as_ref(), emitters, columns)?)
 }
 
 /// The bake's clusters, decoded.

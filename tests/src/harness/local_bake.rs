@@ -120,6 +120,15 @@ impl<'p> Bakery<'p> {
 
 /// Bakes a scene bundle; also gives the world that it was baked in.
 pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc<World>)> {
+    baked(bundle, recipe, |run| Ok(World::of_run(run)?))
+}
+
+/// Bakes a scene bundle; also gives what `of_run` finds among all outputs.
+fn baked<T>(
+    bundle: Vec<u8>,
+    recipe: &Recipe,
+    of_run: impl FnOnce(&LocalRun<'_>) -> Result<T>,
+) -> Result<(LocalBake, T)> {
     let progress = Progress::new();
     let mut run = LocalRun::new(MEMORY_BYTES, &progress);
     let scene = run.shelf.put(bundle);
@@ -143,7 +152,7 @@ pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc
     let pages: Vec<Vec<u8>> = manifest.chunks(DIRECTORY).iter().map(page).collect::<Result<_>>()?;
     let manifest = manifest.with_directory(&pages)?;
     Kinds::new().check(&manifest)?;
-    let world = World::of_run(&run)?;
+    let found = of_run(&run)?;
     let bake = LocalBake {
         manifest,
         manifest_bytes,
@@ -153,10 +162,10 @@ pub fn bake_in_world(bundle: Vec<u8>, recipe: &Recipe) -> Result<(LocalBake, Arc
         secs,
         artefacts: run.shelf.into_artefacts(),
     };
-    Ok((bake, world))
+    Ok((bake, found))
 }
 
 /// Bakes a scene bundle.
 pub fn bake(bundle: Vec<u8>, recipe: &Recipe) -> Result<LocalBake> {
-    Ok(bake_in_world(bundle, recipe)?.0)
+    Ok(baked(bundle, recipe, |_| Ok(()))?.0)
 }

@@ -6,7 +6,7 @@ mod held;
 mod local_bake;
 mod relit;
 
-pub use decoded::{Decoded, clusters};
+pub use decoded::{Decoded, captured, clusters};
 pub use first_light::{FirstLight, beside_the_whole, first_light};
 pub use held::{Compared, Held, Lit};
 pub use local_bake::{Bakery, LocalBake, Rebaked, Recipe, bake, bake_in_world};

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec2};
 use lightkiln_proto::content::{BlockKey, Texel};
 use lightkiln_proto::ids::Digest;
 
-use super::{EvaluationError, MappedIncoming, Sample};
+use super::{EvaluationError, MappedIncoming, Sample, TestLight};
 use crate::geometry::{Geometry, Site};
 use crate::rays::Hit;
 use crate::reference::{Lighting, Reference};
@@ -59,6 +59,11 @@ pub trait Evaluated: Send + Sync {
 
     /// The bake as it lights free space, where it does: its places are points there, with a direction each.
     fn in_space(self: Box<Self>) -> Option<Box<dyn Evaluated>> {
+        None
+    }
+
+    /// The light that alone the bake can be measured under: that which it was baked with, where it cannot be relit.
+    fn own_light(&self) -> Option<TestLight> {
         None
     }
 

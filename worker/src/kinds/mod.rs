@@ -1,5 +1,6 @@
 //! Kinds of bake: one folder each, and a table that runner and evaluation ask. No other room names a kind.
 
+pub mod captured;
 pub mod cloud;
 pub mod field;
 pub mod grid;
@@ -72,7 +73,7 @@ pub struct BakeKinds(Vec<&'static dyn BakeKind>);
 impl BakeKinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured])
     }
 
     /// The table with one more kind.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::guide::Guide;
@@ -10,6 +10,7 @@ use super::neighbours::neighbours;
 use super::path::{LampPoints, Walk};
 use super::tally::{Estimate, Tally};
 use super::{Reference, Site};
+use crate::rays::Hit;
 use crate::rays::sampling::{R2, Sequence, seed_of};
 use crate::task::{Cancelled, Progress};
 
@@ -170,7 +171,7 @@ impl Reference<'_> {
         let mut sums = Sums::default();
         for batch in 0..batches {
             let seed = seed_of(&[own, u64::from(batch), phase as u64]);
-            let (direct, indirect) = self.batch(target.point(own, batch), &mut Walk::new(seed, guide));
+            let (direct, indirect) = self.batch(target.point(own, batch), &mut Walk::new(seed, guide), BATCH);
             sums.direct.add(direct);
             sums.indirect.add(indirect);
             sums.halves[batch as usize % 2] += indirect;
@@ -178,16 +179,27 @@ impl Reference<'_> {
         sums
     }
 
-    /// Means of one batch: rectangles' part of E_dir, and E_ind.
-    fn batch(&self, site: &Site, walk: &mut Walk) -> (DVec3, DVec3) {
+    /// Radiance reflected at a hit, under all light, by some paths that go on from there; nothing guides them.
+    pub fn reflected(&self, hit: &Hit, paths: u32, seed: u64) -> DVec3 {
+        let met = self.met(hit);
+        if !met.lit || paths == 0 {
+            return DVec3::ZERO;
+        }
+        let (rects, indirect) = self.batch(&met.site, &mut Walk::new(seed, None), paths);
+        let irradiance = self.by_punctual(&met.site) + rects + indirect;
+        Vec3::from(met.surface.albedo).as_dvec3() / PI * irradiance
+    }
+
+    /// Means of a batch of paths: rectangles' part of E_dir, and E_ind.
+    fn batch(&self, site: &Site, walk: &mut Walk, paths: u32) -> (DVec3, DVec3) {
         let directions = R2::new(walk.random.next_u64());
         let lamp_points = R2::new(walk.random.next_u64());
         let shift = walk.random.next_f32();
         let origin_m = site.ray_origin_m(self.geometry.tracer.ray_offset_m(site.position_m));
         let chances = self.lamps.emitters.chances(site);
         let (mut direct, mut indirect) = (DVec3::ZERO, DVec3::ZERO);
-        for index in 0..BATCH {
-            let pick = (index as f32 + shift) / BATCH as f32;
+        for index in 0..paths {
+            let pick = (index as f32 + shift) / paths as f32;
             let points = LampPoints { pick, point: lamp_points.point(index) };
             direct += self.by_rects(site, points);
             indirect += self.by_emitters(site, &chances, points) + self.by_sky(site, points);
@@ -198,7 +210,7 @@ impl Reference<'_> {
             direct += PI * gathered.rects;
             indirect += PI * gathered.rest;
         }
-        (direct / f64::from(BATCH), indirect / f64::from(BATCH))
+        (direct / f64::from(paths), indirect / f64::from(paths))
     }
 
     fn finished(&self, target: &Target, sums: &Sums, expected: &Expected) -> IrradianceEstimate {

@@ -350,6 +350,11 @@ impl Reference<'_> {
         Ok(EyeSurface { hit, site: met.site, lit: met.lit, albedo: met.surface.albedo })
     }
 
+    /// Radiance of the sky along a ray that leaves the scene.
+    pub fn sky(&self, direction: Vec3) -> DVec3 {
+        self.sky_met(None, direction)
+    }
+
     /// Irradiance from one sample of each kind of lamp with extent, and by one ray of a lamp without.
     fn by_lamps(&self, site: &Site, chances: &Chances, walk: &mut Walk) -> DVec3 {
         let mut points = || LampPoints::next(&mut walk.random);

@@ -8,6 +8,10 @@ mod godot;
 mod tests;
 mod unity;
 
+pub use ddgi::{
+    IRRADIANCE_SIDE as TILE_SIDE, direction_of as direction_in_tile, inside_of as texel_behind_border,
+};
+
 use std::collections::VecDeque;
 
 use glam::{IVec3, Vec3, Vec4};

@@ -1,5 +1,5 @@
-// Light of surfaces without a lightmap, from probes in free space; twin: `FieldTable` of the run time. Joined behind `lightmap.wgsl`, and
-// `lattice.wgsl` or `tetrahedra.wgsl`, which say what is between probes.
+// Light of surfaces without a lightmap, from probes in free space; twin: `FieldTable` of the run time. Joined behind
+// `lattice.wgsl` or `tetrahedra.wgsl`, which say what is between probes, and before `beside.wgsl` or `alone.wgsl`, which say what it lights.
 
 // The lattice or the tetrahedra between probes; then of each probe its place and its depth map, 16 bits a point.
 @group(1) @binding(4) var<storage, read> probes: array<u32>;
@@ -123,12 +123,4 @@ fn field_irradiance(point: vec3f, normal: vec3f) -> vec3f {
         }
     }
     return select(vec3f(0.0), max(sum.rgb / max(sum.w, WEIGHT_MIN), vec3f(0.0)), sum.w >= WEIGHT_MIN);
-}
-
-fn indirect_irradiance(surface: Surface) -> vec3f {
-    let placement = placements[surface.draw];
-    if placement.front_size.x == 0u && placement.back_size.x == 0u {
-        return field_irradiance(surface.position, surface.normal);
-    }
-    return from_lightmap(surface);
 }

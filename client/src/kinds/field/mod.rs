@@ -13,7 +13,10 @@ use crate::scene::LoadedScene;
 
 pub use dering::SHADER as DERING_SHADER;
 pub use light::FieldLight;
-pub use passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA, LatticeNumbers, TOLERANCE, TetrahedraNumbers};
+pub use passes::{
+    FieldPasses, IN_LATTICE, IN_TETRAHEDRA, LATTICE_ALONE, LatticeNumbers, TETRAHEDRA_ALONE, TOLERANCE,
+    TetrahedraNumbers, numbers, words,
+};
 
 /// Joins the decoded parts of a field, and the tetrahedra between its probes where these stand on no lattice, with the light of surfaces;
 /// anything that contradicts the manifest or another chunk is an error.

@@ -23,14 +23,22 @@ use crate::scene::LoadedScene;
 pub const IN_LATTICE: &str = concat!(
     include_str!("../../passes/atlas/lightmap.wgsl"),
     include_str!("lattice.wgsl"),
-    include_str!("field.wgsl")
+    include_str!("field.wgsl"),
+    include_str!("beside.wgsl")
 );
 /// Likewise of a field in tetrahedra.
 pub const IN_TETRAHEDRA: &str = concat!(
     include_str!("../../passes/atlas/lightmap.wgsl"),
     include_str!("tetrahedra.wgsl"),
-    include_str!("field.wgsl")
+    include_str!("field.wgsl"),
+    include_str!("beside.wgsl")
 );
+/// Shading: a field on a lattice lights all.
+pub const LATTICE_ALONE: &str =
+    concat!(include_str!("lattice.wgsl"), include_str!("field.wgsl"), include_str!("alone.wgsl"));
+/// Likewise one in tetrahedra.
+pub const TETRAHEDRA_ALONE: &str =
+    concat!(include_str!("tetrahedra.wgsl"), include_str!("field.wgsl"), include_str!("alone.wgsl"));
 /// Largest difference of E from the reference, relative to the largest value: sums of some hundred f32 in another order, and depths
 /// that say by a hair whether a probe sees a point.
 pub const TOLERANCE: f32 = 1e-3;
@@ -118,7 +126,8 @@ impl FieldPasses {
     }
 }
 
-fn numbers(gpu: &Gpu, field: &FieldTable) -> wgpu::Buffer {
+/// The uniform of a field: [`LatticeNumbers`] or [`TetrahedraNumbers`].
+pub fn numbers(gpu: &Gpu, field: &FieldTable) -> wgpu::Buffer {
     let (spacing_m, probe_count) = (field.spacing_m, field.len() as u32);
     let first_probe = between(field).len() as u32;
     match &field.between {
@@ -154,8 +163,8 @@ fn between(field: &FieldTable) -> Vec<u32> {
     }
 }
 
-/// Words of the lattice or the tetrahedra, then each probe's place and depth map.
-fn words(field: &FieldTable) -> Vec<u32> {
+/// Words of the buffer of probes: those of the lattice or the tetrahedra, then each probe's place and depth map.
+pub fn words(field: &FieldTable) -> Vec<u32> {
     let mut words = between(field);
     words.reserve(PROBE_WORDS * field.len());
     for (position_m, depths) in field.position_m.iter().zip(field.depths.chunks_exact(MAP_POINTS)) {

@@ -5,7 +5,7 @@ use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use lightkiln_worker::evaluate::{
-    EvaluationError, Evaluator, LightResult, Options, cluster_errors, default_lights, panorama_light,
+    Chosen, EvaluationError, Evaluator, LightResult, Options, cluster_errors, default_lights, panorama_light,
     usable_lights,
 };
 use lightkiln_worker::reference::Precision;
@@ -52,9 +52,6 @@ pub fn measure(
         .map_err(|error| Failure::bad_input("the bundle cannot be read").caused_by(&error))?;
     wanted.check_place(&kinds.worker, &manifest.kind)?;
     let progress = Progress::new();
-    let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
-    let pixels = wanted.pixels();
-    let options = Options { receivers: wanted.receivers, precision, pixels, ..Options::default() };
     say!("preparing the scene anew, and what {} places need", wanted.receivers);
     let bytes = |digest| chunk(source, &manifest, digest);
     let bake = kinds.worker.evaluated(&manifest, scene.into_bytes(), &bytes, &progress).map_err(failure)?;
@@ -62,13 +59,25 @@ pub fn measure(
         Where::Surfaces => bake,
         Where::Space => bake.in_space().ok_or_else(|| without_space(&manifest.kind))?,
     };
+    // Pixels are read through a lightmap.
+    let pixels = if bake.lightmap().is_some() { wanted.pixels() } else { 0 };
+    let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
+    let options = Options { receivers: wanted.receivers, precision, pixels, ..Options::default() };
     let usable = |lights| usable_lights(bake.geometry(), lighting.rest_of_tests(lights)).map_err(failure);
-    let chosen = match own {
-        Some(mut lights) => {
+    let chosen = match (bake.own_light(), own) {
+        (Some(_), Some(_)) => return Err(not_relightable(&manifest.kind)),
+        (Some(light), None) => {
+            let lights = lighting.rest_of_tests(vec![light.clone()]);
+            if panorama.is_some() || lights != [light] {
+                return Err(not_relightable(&manifest.kind));
+            }
+            Chosen { lights, notes: Vec::new() }
+        }
+        (None, Some(mut lights)) => {
             lights.extend(panorama);
             usable(lights)?
         }
-        None => {
+        (None, None) => {
             let chosen = default_lights(bake.geometry());
             let mut lights = chosen.lights;
             lights.extend(panorama);
@@ -147,6 +156,13 @@ fn summed_up(
         notes,
         ..Evaluation::default()
     }
+}
+
+fn not_relightable(kind: &str) -> Failure {
+    let what = format!(
+        "a bake of kind '{kind}' has the light that it was baked with, and can be measured under no other"
+    );
+    Failure::bad_input(what).try_this("leave out --lights and --sky, or bake another kind")
 }
 
 /// Chunks that relighting needs.

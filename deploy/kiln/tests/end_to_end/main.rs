@@ -22,6 +22,7 @@ mod manners;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;
 mod patience;
+mod probes;
 mod processes;
 mod replicas;
 mod tls;

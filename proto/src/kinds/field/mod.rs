@@ -66,7 +66,7 @@ pub struct FieldTotals {
 
 impl FieldTotals {
     /// For people.
-    fn words(&self, bytes: u64) -> String {
+    pub(super) fn words(&self, bytes: u64) -> String {
         let Self { spacing_m, probes, inside, mean_rank, placement: _ } = self;
         let each = bytes as f64 / (*probes).max(1) as f64;
         format!(
@@ -76,7 +76,7 @@ impl FieldTotals {
 }
 
 /// Bytes of the chunks of probes and of what is between them.
-fn bytes_of(manifest: &Manifest, roles: &[&str]) -> u64 {
+pub(super) fn bytes_of(manifest: &Manifest, roles: &[&str]) -> u64 {
     roles.iter().flat_map(|role| manifest.chunks(role)).map(|chunk| chunk.bytes).sum()
 }
 

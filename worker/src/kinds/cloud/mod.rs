@@ -17,6 +17,7 @@ use super::{BakeKind, BakeKinds, TaskRow};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
 use crate::factors;
 use crate::task::{Context, Progress, TaskError, TaskOutput, params};
+pub(super) use survey::survey;
 
 /// The kind's row.
 #[derive(Clone, Copy, Debug, Default)]
@@ -79,7 +80,7 @@ fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
         tetrahedra: Some(TETRAHEDRA),
     };
     field::planned(context, &plan, |geometry| {
-        survey::survey(geometry, (&bake.settings.field, &bake.settings.cloud), context.progress)
+        survey(geometry, (&bake.settings.field, &bake.settings.cloud), context.progress)
     })
 }
 

@@ -25,23 +25,40 @@ pub fn field_assembled(
     role: Option<&'static str>,
 ) -> Result<TaskOutput, TaskError> {
     let relightable = prt::Assembled::of(context, relightable)?;
-    let survey = Survey::of(context)?;
-    let account = account(context)?;
-    let field = FieldTotals {
-        spacing_m: survey.spacing_m,
-        probes: account.probes,
-        inside: survey.inside,
-        mean_rank: account.ranks as f64 / account.probes.max(1) as f64,
-        placement: placement(context)?,
-    };
+    let Assembled { totals: field, chunks: of_field } = Assembled::of(context, role)?;
     let prt::Assembled { body, clusters, mut chunks, mut report } = relightable;
     report["field"] = json!(field);
     let body = Body { totals: body.totals, patches: body.patches, field };
-    chunks.push((FIELD, chunks_of(context, |name| is_of_field(name, "/chunk/"))));
-    if let Some(role) = role {
-        chunks.push((role, chunks_of(context, |name| name == role)));
-    }
+    chunks.extend(of_field);
     assembled(context, KindPart { kind, scene, settings, body: &body, clusters, chunks }, report)
+}
+
+/// The part of a manifest that is a field's.
+pub struct Assembled {
+    /// Sums over its probes.
+    pub totals: FieldTotals,
+    /// Its chunks by role.
+    pub chunks: Vec<(&'static str, Vec<ChunkRef>)>,
+}
+
+impl Assembled {
+    /// Of a task's inputs: `probes`, the chunk of tetrahedra where it has that `role`, and `field/…` of every cell of probes.
+    pub fn of(context: &Context, role: Option<&'static str>) -> Result<Self, TaskError> {
+        let survey = Survey::of(context)?;
+        let account = account(context)?;
+        let totals = FieldTotals {
+            spacing_m: survey.spacing_m,
+            probes: account.probes,
+            inside: survey.inside,
+            mean_rank: account.ranks as f64 / account.probes.max(1) as f64,
+            placement: placement(context)?,
+        };
+        let mut chunks = vec![(FIELD, chunks_of(context, |name| is_of_field(name, "/chunk/")))];
+        if let Some(role) = role {
+            chunks.push((role, chunks_of(context, |name| name == role)));
+        }
+        Ok(Self { totals, chunks })
+    }
 }
 
 /// Counts of how probes were placed, where there are some.

@@ -1,26 +1,29 @@
 //! A bake with a field as evaluation sees it: its surfaces, which are those of a relightable bake, and its free space.
 
 use glam::{DVec3, Vec3, Vec4};
-use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::field::{FIELD, FieldTable, decode_field, decode_tetrahedra};
+use lightkiln_proto::kinds::field::{FIELD, FieldTable, PROBE_ROWS, decode_field, decode_tetrahedra};
 use lightkiln_proto::kinds::prt::Settings;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
 use rayon::prelude::*;
 
+use super::capture::Capture;
 use super::readings::{Agreement, CLASSES, Reading};
+use super::truth::Truth;
+use crate::emitters::EmitterSet;
 use crate::evaluate::{
     Answer, ChunkBytes, ErrorClass, Evaluated, EvaluatedLightmap, EvaluationError, MappedIncoming, Measure,
-    Place, Relit, Sample, Sampled,
+    Place, Relit, Sample, Sampled, TestLight,
 };
 use crate::factors::{FactoredBake, Threads, decoded};
 use crate::geometry::{Geometry, Site, Strata};
 use crate::kinds::{BakeKinds, prt};
 use crate::rays::Hit;
 use crate::rays::sampling::{Sequence, seed_of, uniform_sphere};
-use crate::reference::{Lighting, Reference};
+use crate::reference::{Lighting, Reference, luminance};
 use crate::task::{Cancelled, Progress};
 
 /// Nearest to a surface that light is measured, in metres.
@@ -38,8 +41,55 @@ pub struct FieldBake {
     field: FieldTable,
 }
 
-/// Its free space.
-struct FieldSpace(Box<FieldBake>);
+/// Light of a bake's probes, as evaluation asks for it.
+pub trait SpaceLight: Send + Sync {
+    /// The scene.
+    fn geometry(&self) -> &Geometry;
+
+    /// The field.
+    fn field(&self) -> &FieldTable;
+
+    /// Coefficients at probes under some lights; bounces until they changed no more, and whether they did before the last one allowed.
+    fn rows(
+        &self,
+        reference: &Reference,
+        lighting: &Lighting,
+        progress: &Progress,
+    ) -> Result<(Vec<Vec4>, (usize, bool)), Cancelled>;
+
+    /// The light that alone it can be measured under.
+    fn own_light(&self) -> Option<TestLight> {
+        None
+    }
+}
+
+/// Free space of a bake.
+struct FieldSpace {
+    light: Box<dyn SpaceLight>,
+    emitters: EmitterSet,
+    /// Places at which causes of error are told apart, each with two directions.
+    points_m: Vec<Vec3>,
+}
+
+/// A bake as it lights free space.
+pub fn in_space(light: Box<dyn SpaceLight>) -> Box<dyn Evaluated> {
+    let emitters = EmitterSet::new(light.geometry());
+    Box::new(FieldSpace { light, emitters, points_m: Vec::new() })
+}
+
+/// The field of a bake's chunks, over some columns; the chunk of tetrahedra has that `role`, if there is one.
+pub fn joined(
+    manifest: &Manifest,
+    role: Option<&'static str>,
+    columns: &PatchTable,
+    bytes: ChunkBytes,
+) -> Result<FieldTable, EvaluationError> {
+    let parts = manifest.chunks(FIELD).iter().map(|chunk| decoded(chunk, bytes, decode_field));
+    let parts: Vec<_> = parts.collect::<Result<_, EvaluationError>>()?;
+    let tetrahedra = role.and_then(|role| manifest.chunks(role).first());
+    let tetrahedra = tetrahedra.map(|chunk| decoded(chunk, bytes, decode_tetrahedra)).transpose()?;
+    Ok(FieldTable::join(&parts, tetrahedra.as_ref(), manifest.emitters.len(), columns)?)
+}
 
 /// Makes the bake's world anew and decodes its chunks; those of tetrahedra have that `role`, if it has some. `first` are the scene, its
 /// first tasks, and the task kind that plans the rest.
@@ -52,11 +102,7 @@ pub fn evaluated(
     (bytes, progress): (ChunkBytes, &Progress),
 ) -> Result<FieldBake, EvaluationError> {
     let surfaces = prt::evaluated_of(kinds, manifest, first, relightable, bytes, progress)?;
-    let parts = manifest.chunks(FIELD).iter().map(|chunk| decoded(chunk, bytes, decode_field));
-    let parts: Vec<_> = parts.collect::<Result<_, EvaluationError>>()?;
-    let tetrahedra = role.and_then(|role| manifest.chunks(role).first());
-    let tetrahedra = tetrahedra.map(|chunk| decoded(chunk, bytes, decode_tetrahedra)).transpose()?;
-    let field = FieldTable::join(&parts, tetrahedra.as_ref(), manifest.emitters.len(), surfaces.columns())?;
+    let field = joined(manifest, role, surfaces.columns(), bytes)?;
     Ok(FieldBake { surfaces, field })
 }
 
@@ -78,7 +124,7 @@ impl Evaluated for FieldBake {
     }
 
     fn in_space(self: Box<Self>) -> Option<Box<dyn Evaluated>> {
-        Some(Box::new(FieldSpace(self)))
+        Some(in_space(self))
     }
 
     fn chunk_of(&self, place: &Place) -> Option<usize> {
@@ -111,9 +157,34 @@ impl Evaluated for FieldBake {
     }
 }
 
+impl SpaceLight for FieldBake {
+    fn geometry(&self) -> &Geometry {
+        self.surfaces.geometry()
+    }
+
+    fn field(&self) -> &FieldTable {
+        &self.field
+    }
+
+    fn rows(
+        &self,
+        reference: &Reference,
+        lighting: &Lighting,
+        progress: &Progress,
+    ) -> Result<(Vec<Vec4>, (usize, bool)), Cancelled> {
+        let light = self.surfaces.lit(reference, lighting, progress)?;
+        let rows = self.field.relit(&Threads, &light.settled.lambda, &light.emitter_scale);
+        Ok((rows, (light.settled.bounces as usize, light.settled.converged)))
+    }
+}
+
 impl Evaluated for FieldSpace {
     fn geometry(&self) -> &Geometry {
-        self.0.surfaces.geometry()
+        self.light.geometry()
+    }
+
+    fn own_light(&self) -> Option<TestLight> {
+        self.light.own_light()
     }
 
     fn answer_at(&self, hit: &Hit) -> Answer {
@@ -156,23 +227,32 @@ impl Evaluated for FieldSpace {
         None
     }
 
+    fn trace(&mut self, sample: &[Place], _: usize, _: &Progress) -> Result<(), Cancelled> {
+        self.points_m = points_of(sample).collect();
+        Ok(())
+    }
+
     fn relit<'a>(
         &'a self,
         reference: &Reference,
         lighting: &Lighting,
         progress: &Progress,
     ) -> Result<Box<dyn Relit + 'a>, Cancelled> {
-        let light = self.0.surfaces.lit(reference, lighting, progress)?;
-        let rows = self.0.field.relit(&Threads, &light.settled.lambda, &light.emitter_scale);
-        let bounces = (light.settled.bounces as usize, light.settled.converged);
-        Ok(Box::new(RelitSpace { field: &self.0.field, geometry: self.geometry(), rows, bounces }))
+        let (field, geometry) = (self.light.field(), self.geometry());
+        let (rows, bounces) = self.light.rows(reference, lighting, progress)?;
+        let capture = Capture::new(geometry, &self.emitters, reference, lighting.emitter_scale);
+        let truth = Truth::of(&capture, (field, geometry), &self.points_m, progress)?;
+        Ok(Box::new(RelitSpace { field, geometry, rows, truth, bounces }))
     }
 
     fn notes(&self, sample: &[Place]) -> Vec<String> {
-        // Two places are one point.
-        let points_m = sample.iter().step_by(2).map(|place| place.site.position_m);
-        vec![Agreement::at(&self.0.field, self.geometry(), points_m).words()]
+        vec![Agreement::at(self.light.field(), self.geometry(), points_of(sample)).words()]
     }
+}
+
+/// Points of a sample: two places are one.
+fn points_of(sample: &[Place]) -> impl Iterator<Item = Vec3> + '_ {
+    sample.iter().step_by(2).map(|place| place.site.position_m)
 }
 
 /// No surface is near a place, and no more than a quarter of what is seen from it are backs.
@@ -193,6 +273,7 @@ struct RelitSpace<'a> {
     geometry: &'a Geometry,
     /// Coefficients at probes.
     rows: Vec<Vec4>,
+    truth: Truth,
     bounces: (usize, bool),
 }
 
@@ -207,15 +288,47 @@ impl Relit for RelitSpace<'_> {
     }
 
     fn classes(&self, sample: &[Place]) -> Vec<ErrorClass> {
-        let of = |(reading, name): (Reading, &'static str)| {
+        let read = |reading: Reading, rows: &[Vec4]| -> Vec<DVec3> {
             let light = |place: &Place| {
                 let Site { position_m, normal, .. } = place.site;
-                let field = (self.field, &self.rows[..]);
-                reading.irradiance(field, self.geometry, position_m, normal).as_dvec3()
+                reading.irradiance((self.field, rows), self.geometry, position_m, normal).as_dvec3()
             };
-            let measure = Measure::AtSample(sample.par_iter().map(light).collect());
-            ErrorClass { name, about: reading.about(), measure }
+            sample.par_iter().map(light).collect()
         };
-        Reading::ALL.into_iter().zip(CLASSES).map(of).collect()
+        let own = sample.iter().enumerate().map(|(index, place)| {
+            let coefficients = self.truth.own.get(index / 2).copied().unwrap_or_default();
+            irradiance(&coefficients, place.site.normal).as_dvec3()
+        });
+        let between = read(Reading::Exact, &self.truth.rows);
+        let [exact, others @ ..] = Reading::ALL.map(|reading| read(reading, &self.rows));
+        let shown = |place: &Place| self.irradiance(place).unwrap_or_default();
+        let shown: Vec<DVec3> = sample.par_iter().map(shown).collect();
+        let causes = [
+            ("by nine harmonics at the place itself, by paths", Measure::AtSample(own.collect())),
+            ("and between probes that rays see, with paths' light", Measure::AtSample(between.clone())),
+            (
+                "of the light that probes hold: rows, factors, numbers, fit",
+                Measure::Rms(rms(&exact, &between)),
+            ),
+            ("of depth maps beside rays", Measure::Rms(rms(&shown, &exact))),
+        ];
+        let readings = std::iter::once(exact).chain(others).zip(Reading::ALL);
+        let readings = readings.map(|(light, reading)| (reading.about(), Measure::AtSample(light)));
+        let all = causes.into_iter().chain(readings).zip(CLASSES);
+        all.map(|((about, measure), name)| ErrorClass { name, about, measure }).collect()
     }
+}
+
+/// Irradiance by a normal, of coefficients.
+fn irradiance(coefficients: &[Vec4; PROBE_ROWS], normal: Vec3) -> Vec3 {
+    let mut harmonics = [0.0; PROBE_ROWS];
+    ShBasis::new(2).evaluate(normal, &mut harmonics);
+    let sum: Vec4 = coefficients.iter().zip(harmonics).map(|(row, harmonic)| *row * harmonic).sum();
+    sum.truncate().max(Vec3::ZERO)
+}
+
+/// Root mean square of the difference of luminance.
+fn rms(a: &[DVec3], b: &[DVec3]) -> f64 {
+    let squares: f64 = a.iter().zip(b).map(|(a, b)| (luminance(*a) - luminance(*b)).powi(2)).sum();
+    (squares / a.len().max(1) as f64).sqrt()
 }

@@ -31,7 +31,7 @@ use crate::transport::{CutBounds, RayHit, RowHits, Sources, patch_rows};
 const CUT_SHARE: f32 = 0.16;
 
 /// Rays of a probe for each of a place that probes are fitted to: there are about four places a probe, in tetrahedra seven.
-const RAYS_OF_PLACE: u32 = 4;
+pub const RAYS_OF_PLACE: u32 = 4;
 
 /// Account of a cell's chunks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

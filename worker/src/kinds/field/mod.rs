@@ -3,6 +3,7 @@
 
 mod assemble;
 mod before;
+mod capture;
 mod depth;
 mod evaluated;
 mod fit;
@@ -11,7 +12,9 @@ mod looks;
 mod plan;
 mod readings;
 mod spacing;
+mod surveyed;
 mod truncate;
+mod truth;
 mod volume;
 
 use std::sync::Arc;
@@ -22,13 +25,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::task::{Context, TaskError, artefact};
 
-pub use assemble::field_assembled;
-pub use evaluated::{FieldBake, evaluated};
-pub use gather::{run as gather, turn as uniform_turn, weights as irradiance_weights};
+pub use assemble::{Assembled, field_assembled};
+pub use capture::{Capture, CaptureRays, Coefficients};
+pub use depth::depths;
+pub use evaluated::{FieldBake, SpaceLight, evaluated, in_space, joined};
+pub use fit::{Around, Place as FitPlace, fitted_emitters, places as fit_places, shares as fit_shares};
+pub use gather::{
+    Account, RAYS_OF_PLACE, run as gather, turn as uniform_turn, weights as irradiance_weights,
+};
 pub use looks::{Place, is_free, is_inside, place};
 pub use plan::{FieldPlan, planned};
-pub use readings::CLASSES;
+pub use readings::{CLASSES, Reading};
 pub use spacing::{lattice, points, spacing_m};
+pub use surveyed::Surveyed;
 pub use volume::Volume;
 
 /// Magic of the artefact of probes.
@@ -69,7 +78,7 @@ pub struct Tessellation {
 
 impl Survey {
     /// The probes among a task's inputs.
-    fn of(context: &Context) -> Result<Arc<Self>, TaskError> {
+    pub fn of(context: &Context) -> Result<Arc<Self>, TaskError> {
         context.shared(PROBES_MAGIC, PROBES_ARTEFACT)
     }
 

@@ -7,8 +7,9 @@ use lightkiln_proto::lobes::{self, FARTHEST, Lobe};
 
 use crate::geometry::Geometry;
 
-/// Names of the classes of error that are these ways.
-pub const CLASSES: [&str; 4] = ["exact", "chebyshev", "valid", "all"];
+/// Names of the classes of error: causes, then other ways to read probes, as in [`Reading::ALL`].
+pub const CLASSES: [&str; 8] =
+    ["angular", "interpolation", "held", "visibility", "exact", "chebyshev", "valid", "all"];
 
 /// Distance by which a point counts as nearer than it is, in distances between probes.
 const BIAS: f32 = 0.01;
@@ -27,7 +28,7 @@ pub enum Reading {
 }
 
 impl Reading {
-    /// All ways, as in [`CLASSES`].
+    /// All ways, as at the end of [`CLASSES`].
     pub const ALL: [Self; 4] = [Self::Exact, Self::Chebyshev, Self::Valid, Self::All];
 
     /// In a few words.
@@ -41,7 +42,7 @@ impl Reading {
     }
 
     /// Probes that a point's light comes from, and their weights.
-    fn weights(self, field: &FieldTable, geometry: &Geometry, point_m: Vec3) -> Vec<(u32, f32)> {
+    pub fn weights(self, field: &FieldTable, geometry: &Geometry, point_m: Vec3) -> Vec<(u32, f32)> {
         let mut found = field.cage(point_m);
         for (probe, weight) in &mut found {
             let place_m = field.position_m[*probe as usize].truncate();

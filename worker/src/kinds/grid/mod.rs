@@ -17,6 +17,7 @@ use super::{BakeKind, BakeKinds, TaskRow};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
 use crate::factors;
 use crate::task::{Context, Progress, TaskError, TaskOutput, params};
+pub(super) use survey::survey;
 
 /// The kind's row.
 #[derive(Clone, Copy, Debug, Default)]
@@ -77,7 +78,8 @@ fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
         assemble: (tasks::ASSEMBLE, json!(bake)),
         tetrahedra: None,
     };
-    field::planned(context, &plan, |geometry| survey::survey(geometry, &bake.settings, context.progress))
+    let settings = (&bake.settings.field, &bake.settings.lattice);
+    field::planned(context, &plan, |geometry| survey(geometry, settings, context.progress))
 }
 
 /// Task `grid.assemble`.

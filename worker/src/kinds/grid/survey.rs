@@ -1,8 +1,8 @@
 //! The lattice over a scene, and which of its points have probes.
 
 use glam::{IVec3, Vec3};
-use lightkiln_proto::kinds::field::{LATTICE_MAX, ProbeKey};
-use lightkiln_proto::kinds::grid::Settings;
+use lightkiln_proto::kinds::field::{FieldSettings, LATTICE_MAX, ProbeKey};
+use lightkiln_proto::kinds::grid::LatticeSettings;
 use rayon::prelude::*;
 
 use super::cells::in_cells;
@@ -28,10 +28,14 @@ enum Found {
 
 /// Probes of a scene: at the points of the lattice in its volume, and those around it that see a cell of theirs within bounds, but for those
 /// in geometry.
-pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> Result<Survey, TaskError> {
-    let spacing_m = spacing_m(geometry.near_bounds_m(), &settings.field);
+pub fn survey(
+    geometry: &Geometry,
+    (field, of_lattice): (&FieldSettings, &LatticeSettings),
+    progress: &Progress,
+) -> Result<Survey, TaskError> {
+    let spacing_m = spacing_m(geometry.near_bounds_m(), field);
     let volume = Volume::of(geometry, spacing_m);
-    let (low, size) = match settings.lattice.field_moves {
+    let (low, size) = match of_lattice.field_moves {
         0 => lattice(volume.bounds_m, spacing_m),
         _ => lattice(volume.outer_m(), spacing_m),
     };
@@ -54,7 +58,7 @@ pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> 
         .map(|index| {
             progress.check()?;
             let point = point(index);
-            let found = progress.casting(|| match settings.lattice.field_moves {
+            let found = progress.casting(|| match of_lattice.field_moves {
                 0 => plain_at(geometry, point, spacing_m),
                 _ => found_at(geometry, point, spacing_m, &volume),
             });
@@ -71,7 +75,7 @@ pub fn survey(geometry: &Geometry, settings: &Settings, progress: &Progress) -> 
             Found::Idle => {}
         }
     }
-    if settings.lattice.field_moves == 0 {
+    if of_lattice.field_moves == 0 {
         return Ok(survey);
     }
     let cells = in_cells(geometry, &survey, (low, size), volume.bounds_m, progress)?;

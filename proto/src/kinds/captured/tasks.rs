@@ -1,0 +1,18 @@
+//! Tasks of a bake of captured light, and the first of them.
+
+use super::Settings;
+use crate::ids::Digest;
+use crate::jobs::TaskSpec;
+use crate::kinds::{SceneTasks, TaskKind};
+
+/// Scene → probes in free space, and the plan of the rest.
+pub const PLAN: TaskKind = TaskKind { name: "captured.plan", version: 1 };
+/// Some probes → their depth maps and their light, as a chunk.
+pub const GATHER: TaskKind = TaskKind { name: "captured.gather", version: 1 };
+/// Everything → manifest and report.
+pub const ASSEMBLE: TaskKind = TaskKind { name: "captured.assemble", version: 1 };
+
+/// The tasks of a scene without a lightmap, and the plan of the rest.
+pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
+    PLAN.planned("probes", scene, settings, SceneTasks::of(scene), &[GATHER, ASSEMBLE])
+}

@@ -1,0 +1,98 @@
+//! Light that probes capture under the lights of the scene's file, beside closed forms and the same probes relit.
+
+use std::f32::consts::PI;
+
+use glam::{Vec3, Vec4};
+use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::kinds::{captured, grid};
+use lightkiln_tests::harness::{self, Held, Recipe, bake};
+use lightkiln_tests::scenes;
+use lightkiln_worker::factors::Threads;
+use lightkiln_worker::reference::{Lighting, luminance};
+use serde_json::json;
+
+/// Places probes that capture light, so far apart.
+fn recipe(structure: u32, spacing_m: f32) -> Recipe {
+    let settings = json!({
+        "preset": "draft",
+        "field_structure": structure,
+        "field_spacing_m": spacing_m,
+        "probe_rays": 1024,
+        "field_paths": 2,
+        "field_rank_error": 0.002,
+    });
+    Recipe { kind: captured::NAME, settings }
+}
+
+#[test]
+fn white_furnace_is_captured_as_bright_as_it_is() {
+    let albedo = 0.5;
+    for structure in [0, 1] {
+        let bake = bake(scenes::furnace(albedo, 1.0, 4.0), &recipe(structure, 1.0)).unwrap();
+        assert!(bake.manifest.lightmap.is_none());
+        let (table, rows) = harness::captured(&bake).unwrap();
+        let wanted = PI / (1.0 - albedo);
+        let found = (0..table.len()).flat_map(|probe| {
+            let position_m = table.position_m[probe].truncate();
+            let (table, rows) = (&table, &rows);
+            (0..8).map(move |index| table.irradiance(rows, position_m, relight_direction(index, 8)).y)
+        });
+        let found: Vec<f32> = found.map(|light| light / wanted).collect();
+        let mean = found.iter().sum::<f32>() / found.len() as f32;
+        let worst = found.iter().map(|light| (light - 1.0).abs()).fold(0.0, f32::max);
+        println!("structure {structure}: {} probes, mean {mean:.4}, worst {worst:.4}", table.len());
+        assert!(
+            (mean - 1.0).abs() < 0.01 && worst < 0.1,
+            "{mean} of what is wanted, at worst off by {worst}"
+        );
+    }
+}
+
+#[test]
+fn captured_light_is_that_of_the_same_probes_relit() {
+    let spacing_m = 0.75;
+    let of_surfaces = json!({
+        "preset": "draft",
+        "receivers_target": 40_000,
+        "field_spacing_m": spacing_m,
+        "probe_rays": 2048,
+        "field_rank_error": 0.001,
+        "field_fit": 0,
+    });
+    let relit =
+        Held::new(scenes::two_rooms(0.02), &Recipe { kind: grid::NAME, settings: of_surfaces }).unwrap();
+    let lights = relit.world.geometry.scene.lights.clone();
+    assert!(!lights.is_empty());
+    let lit = relit.under(&Lighting { lights, emitter_scale: 1.0, ..Lighting::default() }).unwrap();
+    let table = relit.decoded.field(&relit.bake).unwrap();
+    let light = lit.light();
+    let rows = table.relit(&Threads, &light.settled.lambda, &light.emitter_scale);
+    let captured = bake(scenes::two_rooms(0.02), &recipe(0, spacing_m)).unwrap();
+    let (still, still_rows) = harness::captured(&captured).unwrap();
+    let sorted = |of: &[Vec4]| {
+        let mut places: Vec<[u32; 4]> =
+            of.iter().map(|position_m| position_m.to_array().map(f32::to_bits)).collect();
+        places.sort_unstable();
+        places
+    };
+    assert!(sorted(&table.position_m) == sorted(&still.position_m), "other probes");
+    let of_dark = |position_m: &Vec3| position_m.x > 0.03;
+    let (mut squares, mut sums, mut count) = (0.0, [0.0; 2], 0.0);
+    for position_m in table.position_m.iter().map(|position_m| position_m.truncate()) {
+        for normal in [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [axis, -axis]) {
+            let read = [
+                table.irradiance(&rows, position_m, normal),
+                still.irradiance(&still_rows, position_m, normal),
+            ];
+            let [a, b] = read.map(|light| luminance(light.as_dvec3()));
+            assert!(!of_dark(&position_m) || b == 0.0, "{b} in the dark room, at {position_m}");
+            squares += (a - b).powi(2);
+            sums = [sums[0] + a, sums[1] + b];
+            count += 1.0;
+        }
+    }
+    let [energy, error] = [sums[1] / sums[0], f64::sqrt(squares / count) / (sums[0] / count)];
+    println!("{} probes: {energy:.4} of the energy, {error:.4} of the mean apart", table.len());
+    assert!((energy - 1.0).abs() < 0.03, "{energy} of the energy");
+    assert!(error < 0.03, "{error} of the mean apart");
+}
