@@ -102,7 +102,7 @@ impl Compared {
 
 /// Light at receivers as pages that the client reads.
 fn pages_of(bake: &LoadedBake, light: &ReceiverLight, share: Share) -> AtlasPages {
-    shown(lightmap_of(bake).unwrap(), light, share).unwrap()
+    shown(lightmap_of(bake).unwrap().unwrap(), light, share).unwrap()
 }
 
 fn compared(bake: &LoadedBake, exported: &Exported, scale: u32, own: &AtlasPages) -> Compared {

@@ -112,3 +112,22 @@ fn adapter_lights_objects_by_the_field_as_the_processor_does() {
         }
     }
 }
+
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_draws_captured_light_as_the_processor_does() {
+    for is_lattice in [true, false] {
+        let bake = fixture::captured_bake(is_lattice);
+        let (_, view) = lamp_view();
+        let [got, wanted] =
+            [Backend::Gpu, Backend::Cpu].map(|backend| drawn(&bake, &view, Vec::new(), backend));
+        let tolerance = shade::TOLERANCE.max(field::TOLERANCE);
+        let difference = Difference::of_mean(&got, &wanted, tolerance);
+        println!("{difference}");
+        assert!(difference.agrees(shade::OUTLIERS), "{difference}");
+        let (plain, _) = lamp_view();
+        let relit = drawn(&plain, &view, Vec::new(), Backend::Cpu);
+        let other = Difference::of_mean(&got, &relit, tolerance);
+        assert!(!other.agrees(shade::OUTLIERS), "the light is the probes' own: {other}");
+    }
+}

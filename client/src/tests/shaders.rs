@@ -33,6 +33,8 @@ fn shaders() -> Vec<(&'static str, String)> {
     let fields = [
         ("shade with a field on a lattice", with(field::IN_LATTICE)),
         ("shade with a field in tetrahedra", with(field::IN_TETRAHEDRA)),
+        ("shade with a lattice alone", with(field::LATTICE_ALONE)),
+        ("shade with tetrahedra alone", with(field::TETRAHEDRA_ALONE)),
     ];
     let others = [("relight", relight::SHADER), ("dering", field::DERING_SHADER)];
     of_browsers.chain(others.map(|(name, source)| (name, source.to_owned()))).chain(fields).collect()
