@@ -1,5 +1,6 @@
 //! Light that probes capture under the lights of the scene's file, beside closed forms and the same probes relit.
 
+use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 use glam::{Vec3, Vec4};
@@ -7,8 +8,11 @@ use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::kinds::{captured, grid};
 use lightkiln_tests::harness::{self, Held, Recipe, bake};
 use lightkiln_tests::scenes;
+use lightkiln_worker::evaluate::{EvaluationError, Evaluator, Options};
 use lightkiln_worker::factors::Threads;
-use lightkiln_worker::reference::{Lighting, luminance};
+use lightkiln_worker::kinds::BakeKinds;
+use lightkiln_worker::reference::{Lighting, Precision, luminance};
+use lightkiln_worker::task::Progress;
 use serde_json::json;
 
 /// Places probes that capture light, so far apart.
@@ -95,4 +99,48 @@ fn captured_light_is_that_of_the_same_probes_relit() {
     println!("{} probes: {energy:.4} of the energy, {error:.4} of the mean apart", table.len());
     assert!((energy - 1.0).abs() < 0.03, "{energy} of the energy");
     assert!(error < 0.03, "{error} of the mean apart");
+}
+
+/// Classes of error of captured light in space, over the mean of the reference.
+fn classes(settings: &[(&str, serde_json::Value)]) -> BTreeMap<&'static str, f64> {
+    let all = settings.iter().fold(recipe(0, 0.75), |recipe, (name, value)| recipe.with(name, value.clone()));
+    let scene = scenes::two_rooms(0.02);
+    let bake = bake(scene.clone(), &all).unwrap();
+    let bytes = |digest| {
+        bake.chunk(digest).map_err(|error| EvaluationError::Missing { digest, source: error.into() })
+    };
+    let progress = Progress::new();
+    let bake = BakeKinds::new().evaluated(&bake.manifest, scene, &bytes, &progress).unwrap();
+    let space = bake.in_space().unwrap();
+    let light = space.own_light().unwrap();
+    let precision = Precision { rel_error: 0.05, ..Precision::default() };
+    let options = Options { receivers: 240, precision, pixels: 0, ..Options::default() };
+    let evaluator = Evaluator::new(space, std::slice::from_ref(&light), options, &progress).unwrap();
+    let result = evaluator.measure(&light, &progress).unwrap();
+    let all = result.figures.rel_rmse;
+    println!("{settings:?}: {all:.3}");
+    result
+        .classes
+        .iter()
+        .map(|class| (class.name, class.rel_rmse))
+        .inspect(|class| println!("{class:?}"))
+        .collect()
+}
+
+#[test]
+fn classes_of_error_grow_with_their_causes() {
+    let usual = classes(&[]);
+    let noisy = classes(&[("probe_rays", 64.into()), ("field_rank_error", 0.3.into())]);
+    assert!(
+        noisy["held"] > 1.5 * usual["held"],
+        "fewer rays and digits: {} {}",
+        noisy["held"],
+        usual["held"]
+    );
+    assert!(noisy["interpolation"] < 1.2 * usual["interpolation"], "{}", noisy["interpolation"]);
+    let wide = classes(&[("field_spacing_m", 1.5.into())]);
+    assert!(wide["interpolation"] > 1.3 * usual["interpolation"], "{}", wide["interpolation"]);
+    assert!(wide["angular"] < 1.2 * usual["angular"], "{} {}", wide["angular"], usual["angular"]);
+    // Without depth maps light of the lit room would be in the dark one.
+    assert!(usual["valid"] > 1.5 * usual["exact"] && usual["visibility"] < usual["exact"]);
 }

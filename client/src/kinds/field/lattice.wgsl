@@ -19,7 +19,7 @@ const LATTICE_MAX = 1048575.0;
 
 // Depth at which a point that no probe sees is lit by none.
 fn rounded_most_m() -> f32 {
-    return max(0.1 * field.spacing_m, 0.04);
+    return max(0.06 * field.spacing_m, 0.04);
 }
 
 fn is_nowhere(point: vec3f) -> bool {

@@ -27,7 +27,7 @@ const HIDDEN_IN_TETRAHEDRA_M: f32 = 0.02;
 const ROUNDED_SHARE: f32 = 0.15;
 /// Share of a lattice's step that it may lie behind at most, and least such bound in metres: what lies deeper is in a hollow, which light that
 /// far off says nothing about.
-const ROUNDED_STEPS: f32 = 0.1;
+const ROUNDED_STEPS: f32 = 0.06;
 const ROUNDED_LEAST_M: f32 = 0.04;
 /// Depth in metres over which such probes count less, from that of the least on.
 const ROUNDED_M: f32 = 0.01;
