@@ -13,6 +13,8 @@ use crate::task::{Cancelled, Progress};
 const STEPS: [i8; 4] = [-3, -1, 1, 3];
 /// Nearest that a surface may be to a place that is looked at, over the lattice's step.
 const CLEARANCE: f32 = 0.1;
+/// The same in metres, at most: what moves between columns and mouldings is nearer to them than a share of a wide step.
+const CLEARANCE_MOST_M: f32 = 0.03;
 
 /// Keys and moves of the probes of the cells between the points of a lattice, ascending.
 pub fn in_cells(
@@ -65,7 +67,7 @@ fn best(
                 let is_within = at_m.cmpge(low_m).all() && at_m.cmple(high_m).all();
                 if is_within
                     && !probes_m.iter().any(|&probe_m| sees(probe_m, at_m))
-                    && is_free(geometry, at_m, CLEARANCE * spacing_m)
+                    && is_free(geometry, at_m, (CLEARANCE * spacing_m).min(CLEARANCE_MOST_M))
                 {
                     unseen.push((moved, at_m));
                 }
