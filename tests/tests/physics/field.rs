@@ -7,7 +7,7 @@ use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::kinds::field::{self, FieldTable};
 use lightkiln_proto::kinds::{cloud, grid};
 use lightkiln_proto::scene::LightKind;
-use lightkiln_tests::harness::{Held, Lit, Recipe, bake};
+use lightkiln_tests::harness::{self, Held, Lit, Recipe, bake};
 use lightkiln_tests::scenes;
 use lightkiln_worker::factors::Threads;
 use lightkiln_worker::geometry::{Geometry, Site};
@@ -60,18 +60,8 @@ impl LitField {
 }
 
 /// So many free points of a box, at least `off_m` from all surfaces.
-fn free_points(geometry: &Geometry, [low_m, high_m]: [Vec3; 2], off_m: f32, count: usize) -> Vec<Vec3> {
-    let mut numbers = Sequence::new(seed_of(&[77]));
-    let is_free = |point_m: &Vec3| {
-        (0..32).all(|ray| {
-            let hit = geometry.tracer.closest(*point_m, relight_direction(ray, 32), f32::INFINITY);
-            hit.is_none_or(|hit| hit.t > off_m && !geometry.is_back(&hit))
-        })
-    };
-    let mut point = || low_m + (high_m - low_m) * Vec3::from([(); 3].map(|()| numbers.next_f32()));
-    let points: Vec<Vec3> = (0..100 * count).map(|_| point()).filter(is_free).take(count).collect();
-    assert_eq!(points.len(), count, "next to no free space");
-    points
+fn free_points(geometry: &Geometry, box_m: [Vec3; 2], off_m: f32, count: usize) -> Vec<Vec3> {
+    harness::free_points(geometry, box_m, off_m, count).unwrap()
 }
 
 #[test]

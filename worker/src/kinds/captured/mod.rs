@@ -59,18 +59,14 @@ impl BakeKind for Captured {
 
 type BakeParams = super::BakeParams<Settings>;
 
-/// The light that is captured: that of the file's lights and of emissive surfaces. Errors where the scene has none.
+/// The light that is captured. Errors where the scene has none.
 fn lighting(geometry: &Geometry) -> Result<Lighting, TaskError> {
-    let lights = geometry.scene.lights.clone();
-    let is_lit = lights.iter().any(|light| light.strength != [0.0; 3]);
-    let emits = geometry.scene.materials.iter().any(|material| material.emissive != [0.0; 3]);
-    if !is_lit && !emits {
-        return Err(TaskError::bad_input(
+    field::light_of_file(geometry).ok_or_else(|| {
+        TaskError::bad_input(
             "a bake of kind 'captured' has the light of the scene file's lights, and the file has none; add lights or emissive surfaces to \
              it, or bake another kind, whose light can be chosen afterwards",
-        ));
-    }
-    Ok(Lighting { lights, emitter_scale: 1.0, ..Lighting::default() })
+        )
+    })
 }
 
 /// Role of the chunk of tetrahedra, if there are some.

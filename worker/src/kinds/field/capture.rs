@@ -12,7 +12,15 @@ use super::gather::{turn, weights};
 use crate::emitters::{EmitterSet, EmitterSphereSum};
 use crate::geometry::{Geometry, Grid, Trail};
 use crate::rays::sampling::seed_of;
-use crate::reference::Reference;
+use crate::reference::{Lighting, Reference};
+
+/// Light of a scene's file: that of its lights and of emissive surfaces; `None` where it has none.
+pub fn light_of_file(geometry: &Geometry) -> Option<Lighting> {
+    let lights = geometry.scene.lights.clone();
+    let is_lit = lights.iter().any(|light| light.strength != [0.0; 3]);
+    let emits = geometry.scene.materials.iter().any(|material| material.emissive != [0.0; 3]);
+    (is_lit || emits).then(|| Lighting { lights, emitter_scale: 1.0, ..Lighting::default() })
+}
 
 /// Coefficients of irradiance by normal, RGB, W·m⁻².
 pub type Coefficients = [[f32; 3]; PROBE_ROWS];

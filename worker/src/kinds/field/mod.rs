@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 use crate::task::{Context, TaskError, artefact};
 
 pub use assemble::{Assembled, field_assembled};
-pub use capture::{Capture, CaptureRays, Coefficients};
+pub use capture::{Capture, CaptureRays, Coefficients, light_of_file};
 pub use depth::depths;
 pub use evaluated::{FieldBake, SpaceLight, evaluated, in_space, joined};
 pub use fit::{Around, Place as FitPlace, fitted_emitters, places as fit_places, shares as fit_shares};

@@ -11,7 +11,8 @@ use lightkiln_proto::harmonics::relight_direction;
 
 use super::contrast::{Gathered, Samples};
 use crate::geometry::{Geometry, spread_sites};
-use crate::reference::{Lighting, Precision, Reference, Site, luminance};
+use crate::kinds::field::light_of_file;
+use crate::reference::{Precision, Reference, Site, luminance};
 use crate::task::{Progress, TaskError};
 
 /// Sites at which irradiance is traced.
@@ -58,16 +59,12 @@ pub struct Capture {
 impl<'a> Light<'a> {
     /// Under the lights of the file. Errors where it has none.
     pub fn of(geometry: &'a Geometry, progress: &Progress) -> Result<Self, TaskError> {
-        let lights = geometry.scene.lights.clone();
-        let is_lit = |light: &lightkiln_proto::scene::SceneLight| light.strength != [0.0; 3];
-        let emits = geometry.scene.materials.iter().any(|material| material.emissive != [0.0; 3]);
-        if !lights.iter().any(is_lit) && !emits {
-            return Err(TaskError::bad_input(
+        let lighting = light_of_file(geometry).ok_or_else(|| {
+            TaskError::bad_input(
                 "field_placement = 2 or 3 places probes by the lights of the scene file, which has none; add lights or emissive surfaces \
                  to it, or take field_placement = 0 or 1",
-            ));
-        }
-        let lighting = Lighting { lights, emitter_scale: 1.0, ..Lighting::default() };
+            )
+        })?;
         let reference = Reference::new(geometry, &lighting).map_err(|error| {
             TaskError::bad_input_from("a light of the scene file cannot place probes", error)
         })?;
