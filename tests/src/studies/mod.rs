@@ -5,6 +5,7 @@ pub mod detail;
 pub mod first_light;
 mod list;
 mod measure;
+pub mod papers;
 mod plot;
 mod report;
 
