@@ -230,6 +230,11 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
+    /// Whether it is that of lights chosen now; otherwise it stays as it was baked, whatever lights shine directly.
+    fn follows_lights(&self) -> bool {
+        true
+    }
+
     /// The probes whose light [`ReceiverLight::probes`] is, where the kind has them.
     fn free_space(&self) -> Option<&dyn FreeSpace> {
         None

@@ -141,8 +141,8 @@ pub fn export(
     let unlit = meshes::write(&mut glb, scene, &mut materials, Atlas { pages: &places, scale })?;
     meshes::write_cameras(&mut glb, scene);
     let kept = match share {
-        Share::All => "direct and indirect",
-        Share::Indirect => "indirect",
+        Share::All if lightmap.is_some() => "direct and indirect",
+        Share::All | Share::Indirect => "indirect",
     };
     let mut extras = json!({ "irradiance": kept, "unit": "W/m2", "texelsPerLightmapTexel": scale });
     let space = bake.light.free_space().filter(|space| !space.positions_m().is_empty() && !probes.is_empty());
@@ -156,7 +156,7 @@ pub fn export(
     let written = written.collect::<Result<Vec<_>>>()?;
     all.extend(names.into_iter().zip(written));
     // Without a lightmap the engine's probes light all.
-    let unlit = if lightmap.is_some() { unlit } else { Unlit::default() };
+    let unlit = if lightmap.is_some() || probes.is_none() { unlit } else { Unlit::default() };
     let mut warnings = warnings(unlit, &places.sizes);
     if let Some(probes) = probes {
         all.extend(probes.files);

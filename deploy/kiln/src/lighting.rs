@@ -6,6 +6,7 @@ use crate::console::say;
 use crate::failure::Result;
 use crate::sky::{SkyArgument, parse_sky};
 use clap::Args;
+use lightkiln_client::bake::LoadedBake;
 use lightkiln_proto::relight::Panorama;
 use lightkiln_proto::scene::{LightKind, SceneLight};
 use lightkiln_worker::evaluate::TestLight;
@@ -36,6 +37,17 @@ impl LightArguments {
     pub fn rest(&self, mut lights: Vec<SceneLight>) -> Vec<SceneLight> {
         lights.retain(|light| !self.no_sky || !matches!(light.kind, LightKind::Sky { .. }));
         lights
+    }
+
+    /// Says of other lights than a bake's own, those here or `chosen`, that its bounced light does not follow them, where it does not.
+    pub fn tell_of_light_that_stays(&self, bake: &LoadedBake, chosen: bool) {
+        let Self { no_emitters, no_sky, sky } = self;
+        if (chosen || *no_emitters || *no_sky || sky.is_some()) && !bake.light.follows_lights() {
+            let kind = &bake.scene.manifest.kind;
+            say!(
+                "note: a bake of kind '{kind}' keeps the bounced light of its file's lights, whatever lights shine directly"
+            );
+        }
     }
 
     /// Reads the panorama, if there is one.

@@ -137,6 +137,7 @@ impl LookArguments {
         let camera = self.camera.as_deref().map(parse_camera).transpose()?;
         let camera = camera.or_else(|| path?.first_camera().cloned());
         let ParsedLights { lights, emitter_scale } = parse_lights(&self.light)?;
+        lighting.tell_of_light_that_stays(bake, !self.light.is_empty());
         let own = (!self.light.is_empty()).then_some(lights);
         let own = own.or_else(|| Some(path?.first_lights()?.to_vec()));
         let (mut view, mut notes) = View::of_bake(bake, camera, own)?;

@@ -79,7 +79,9 @@ impl Decoded {
     /// The field of a bake that has one.
     pub fn field(&self, bake: &LocalBake) -> Result<field::FieldTable> {
         let Self::Patches(baked) = self else { bail!("a field reads patches") };
-        joined(bake, &baked.transport.columns)
+        let (parts, tetrahedra) = parts(bake)?;
+        let (emitters, columns) = (bake.manifest.emitters.len(), &baked.transport.columns);
+        Ok(field::FieldTable::join(&parts, tetrahedra.as_ref(), emitters, columns)?)
     }
 
     /// Slot of a texel; `None` for those that no light can reach.
@@ -97,22 +99,21 @@ impl Decoded {
 
 /// The field of a bake whose light is captured, and its coefficients at probes.
 pub fn captured(bake: &LocalBake) -> Result<(field::FieldTable, Vec<Vec4>)> {
-    let table = joined(bake, &captured::columns()?)?;
-    let rows = table.relit(&Threads, &captured::LAMBDA, &[]);
+    let (parts, tetrahedra) = parts(bake)?;
+    let table = captured::joined(&parts, tetrahedra.as_ref())?;
+    let rows = captured::light(&table, &Threads);
     Ok((table, rows))
 }
 
-/// The field of a bake over some columns.
-fn joined(bake: &LocalBake, columns: &PatchTable) -> Result<field::FieldTable> {
+/// Parts of a bake's field, and its tetrahedra.
+fn parts(bake: &LocalBake) -> Result<(Vec<field::FieldPart>, Option<field::TetrahedronSet>)> {
     let chunks = bake.manifest.chunks(field::FIELD).iter();
     let parts: Vec<field::FieldPart> =
         chunks.map(|chunk| Ok(field::decode_field(&bake.chunk(chunk.digest)?)?)).collect::<Result<_>>()?;
-    let emitters = bake.manifest.emitters.len();
     let tetrahedra = bake.manifest.chunks(cloud::TETRAHEDRA).first();
     let tetrahedra =
         tetrahedra.map(|chunk| Ok::<_, anyhow::Error>(field::decode_tetrahedra(&bake.chunk(chunk.digest)?)?));
-    let tetrahedra = tetrahedra.transpose()?;
-    Ok(field::FieldTable::join(&parts, tetrahedra.as_ref(), emitters, columns)?)
+    Ok((parts, tetrahedra.transpose()?))
 }
 
 /// The bake's clusters, decoded.

@@ -101,6 +101,40 @@ fn captured_light_is_that_of_the_same_probes_relit() {
     assert!(error < 0.03, "{error} of the mean apart");
 }
 
+#[test]
+fn faces_of_thin_walls_have_no_light_of_the_other_side() {
+    for (structure, thickness_m) in [(0, 0.02), (0, 0.0), (1, 0.02), (1, 0.0)] {
+        let bake = bake(scenes::two_rooms(thickness_m), &recipe(structure, 0.5)).unwrap();
+        let (table, rows) = harness::captured(&bake).unwrap();
+        let half_m = 0.5 * thickness_m;
+        let face = |side: f32, at: u16| {
+            let [y_m, z_m] = [at / 20, at % 20].map(|at| 0.075 + 0.15 * f32::from(at));
+            let place_m = Vec3::new(side * half_m, y_m, z_m - 1.5);
+            let normal = Vec3::X * side;
+            luminance(table.irradiance(&rows, table.raised(place_m, normal), normal).as_dvec3())
+        };
+        let mean = |side: f32| (0..400).map(|at| face(side, at)).sum::<f64>() / 400.0;
+        let [lit, dark] = [mean(-1.0), mean(1.0)];
+        println!("structure {structure}, {thickness_m} m: {dark} beside {lit}");
+        assert!(
+            lit > 0.1 && dark <= 1e-3 * lit,
+            "structure {structure}, {thickness_m} m: {dark} beside {lit}"
+        );
+    }
+}
+
+#[test]
+fn captured_light_has_the_same_bytes_on_any_number_of_threads() {
+    for structure in [0, 1] {
+        let fitted = recipe(structure, 1.0).with("field_fit", 1).with("probe_rays", 128);
+        let baked = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| bake(scenes::two_rooms(0.02), &fitted).unwrap().manifest_bytes)
+        };
+        assert!(baked(1) == baked(3), "structure {structure}");
+    }
+}
+
 /// Classes of error of captured light in space, over the mean of the reference.
 fn classes(settings: &[(&str, serde_json::Value)]) -> BTreeMap<&'static str, f64> {
     let all = settings.iter().fold(recipe(0, 0.75), |recipe, (name, value)| recipe.with(name, value.clone()));

@@ -52,6 +52,16 @@ pub trait BakeKind: Send + Sync {
         false
     }
 
+    /// Whether it has a lightmap, which pixels are read through.
+    fn has_lightmap(&self) -> bool {
+        true
+    }
+
+    /// Whether its bakes can be measured under any light: else [`Evaluated::own_light`] alone.
+    fn is_relightable(&self) -> bool {
+        true
+    }
+
     /// A bake of the kind as evaluation sees it: its world made anew from the scene bundle, its chunks decoded. `kinds` is
     /// the whole table, for [`made_anew`].
     ///

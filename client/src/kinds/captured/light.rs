@@ -1,7 +1,7 @@
 //! Captured light: coefficients at probes that stay as they are.
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::kinds::captured::LAMBDA;
+use lightkiln_proto::kinds::captured;
 use lightkiln_proto::kinds::field::{Between, FieldTable};
 use lightkiln_proto::relight::Limit;
 
@@ -29,9 +29,9 @@ pub struct CapturedLight {
 }
 
 impl CapturedLight {
-    /// Of a field over the three columns of its kind.
+    /// Of the kind's field.
     pub fn new(field: FieldTable) -> Self {
-        let rows = field.relit(&Threads, &LAMBDA, &[]);
+        let rows = captured::light(&field, &Threads);
         Self { field, rows }
     }
 }
@@ -41,7 +41,8 @@ struct Shown<'a>(&'a CapturedLight);
 
 impl IndirectIrradiance for Shown<'_> {
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
-        self.0.field.irradiance(&self.0.rows, surface.position, surface.normal)
+        let CapturedLight { field, rows } = self.0;
+        field.irradiance(rows, field.raised(surface.position, surface.facet), surface.normal)
     }
 }
 
@@ -78,6 +79,10 @@ impl Light for CapturedLight {
             rows: gpu.storage("light at probes", &self.rows)?,
             row_count: self.rows.len(),
         }))
+    }
+
+    fn follows_lights(&self) -> bool {
+        false
     }
 
     fn free_space(&self) -> Option<&dyn FreeSpace> {

@@ -4,7 +4,7 @@ mod light;
 
 use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::kinds::captured::{self, TETRAHEDRA};
-use lightkiln_proto::kinds::field::{FIELD, FieldTable, decode_field, decode_tetrahedra};
+use lightkiln_proto::kinds::field::{FIELD, decode_field, decode_tetrahedra};
 use lightkiln_proto::relight::Inconsistent;
 
 use crate::bake::{ClientKind, Light};
@@ -27,11 +27,8 @@ impl ClientKind for Captured {
         let manifest = &scene.manifest;
         let parts = decoded(source, manifest, FIELD, |bytes| Ok(decode_field(bytes)?))?;
         let tetrahedra = decoded(source, manifest, TETRAHEDRA, |bytes| Ok(decode_tetrahedra(bytes)?))?;
-        let field = captured::columns().and_then(|columns| {
-            FieldTable::join(&parts, tetrahedra.first(), manifest.emitters.len(), &columns)
-        });
-        let field =
-            field.map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
+        let field = captured::joined(&parts, tetrahedra.first())
+            .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
         Ok(Box::new(CapturedLight::new(field)))
     }
 }

@@ -11,7 +11,7 @@ const MAP_HALF = 8u;
 const PROBE_WORDS = 148u;
 const PROBE_ROWS = 9u;
 // Reciprocal distance, in steps of the lattice, of a unit of depths' codes.
-const DEPTH_UNIT = 10.0 / 65535.0;
+const DEPTH_UNIT = 40.0 / 65535.0;
 const HIDDEN_SHARE = 0.05;
 const ROUNDED_SHARE = 0.15;
 const ROUNDED_M = 0.01;

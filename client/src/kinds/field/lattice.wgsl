@@ -17,6 +17,10 @@ const NO_PROBE = 0xffffffffu;
 const HIDDEN_M = 0.04;
 const LATTICE_MAX = 1048575.0;
 
+fn distance_between_probes_m() -> f32 {
+    return field.spacing_m;
+}
+
 // Depth at which a point that no probe sees is lit by none.
 fn rounded_most_m() -> f32 {
     return max(0.06 * field.spacing_m, 0.04);

@@ -27,6 +27,10 @@ const NEAREST = 0.05;
 // A walk that met nothing.
 const NOWHERE = -1e30;
 
+fn distance_between_probes_m() -> f32 {
+    return field.cell_m;
+}
+
 // Depth at which a point that no probe sees is lit by none.
 fn rounded_most_m() -> f32 {
     return HIDDEN_M;

@@ -88,6 +88,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     }
     let mut bake = LoadedBake::load(&source, &kinds.client)?;
     bake.recolour(&arguments.material)?;
+    arguments.lighting.tell_of_light_that_stays(&bake, !arguments.light.is_empty());
     let lights = if arguments.light.is_empty() {
         let (own, note) = lights_of(&bake.scene.manifest);
         note.iter().for_each(|note| say!("note: {note}"));

@@ -73,12 +73,21 @@ impl EvaluationArguments {
         self.fail_if.iter().try_for_each(|limit| limit.check_figure(&classes))
     }
 
-    /// Errs where a bake of that kind has nothing at the place, or --pixels asks for what no picture shows; cheap, as [`Self::own_lights`].
+    /// Errs where a bake of that kind has nothing at the place, --pixels asks for what no picture shows, or --lights for light that it cannot have;
+    /// cheap, as [`Self::own_lights`].
     pub fn check_place(&self, kinds: &BakeKinds, kind: &str) -> Result<()> {
+        if self.lights.is_some() && kinds.get(kind).is_some_and(|kind| !kind.is_relightable()) {
+            return Err(not_relightable(kind));
+        }
+        let has_pixels = self.pixels.is_some_and(|pixels| pixels > 0);
+        if has_pixels && kinds.get(kind).is_some_and(|kind| !kind.has_lightmap()) {
+            let what = format!("--pixels reads lightmaps, and bakes of kind '{kind}' have none");
+            return Err(Failure::bad_input(what).try_this("leave out --pixels"));
+        }
         if self.place == Where::Surfaces {
             return Ok(());
         }
-        if self.pixels.is_some_and(|pixels| pixels > 0) {
+        if has_pixels {
             let what = "--pixels asks for pictures, which show no free space";
             return Err(Failure::bad_input(what).try_this("--in surfaces, or no --pixels"));
         }
@@ -98,6 +107,15 @@ impl EvaluationArguments {
         let json = fs::read(path).map_err(|error| failed("cannot be read", &error))?;
         lights_of_file(&json).map(Some).map_err(|error| failed("cannot be measured with", &error))
     }
+}
+
+/// A bake of that kind can be measured under no light but its own.
+pub fn not_relightable(kind: &str) -> Failure {
+    let what = format!(
+        "a bake of kind '{kind}' has the light that it was baked with, and can be measured under no other"
+    );
+    Failure::bad_input(what)
+        .try_this("leave out --lights, --sky and switches of lights, or bake another kind")
 }
 
 /// A bake of that kind has nothing to measure in free space.

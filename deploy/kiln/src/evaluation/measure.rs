@@ -11,7 +11,7 @@ use lightkiln_worker::evaluate::{
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
-use super::arguments::{EvaluationArguments, Where, without_space};
+use super::arguments::{EvaluationArguments, Where, not_relightable, without_space};
 use super::shadows::ClientBake;
 use super::table::{Evaluation, LightRow, over_lights};
 use crate::console::say;
@@ -156,13 +156,6 @@ fn summed_up(
         notes,
         ..Evaluation::default()
     }
-}
-
-fn not_relightable(kind: &str) -> Failure {
-    let what = format!(
-        "a bake of kind '{kind}' has the light that it was baked with, and can be measured under no other"
-    );
-    Failure::bad_input(what).try_this("leave out --lights and --sky, or bake another kind")
 }
 
 /// Chunks that relighting needs.

@@ -77,6 +77,32 @@ fn captured_light_is_refused_under_other_lights_and_where_there_is_none() {
         let done = run(within(folder.path()), &[&["evaluate", "box.kiln"], other].concat(), 2);
         assert!(done.stderr().contains("captured"), "{}", done.stderr());
     }
+    // Bakes that would be measured in vain are refused before they begin.
+    let scene = cornell().display().to_string();
+    let vain =
+        [&["bake", &scene, "--out", "vain.kiln", "--evaluate", "--lights", "lights.json"][..], &FEW].concat();
+    let done = run(within(folder.path()), &vain, 2);
+    assert!(
+        done.stderr().contains("under no other") && !folder.path().join("vain.kiln").exists(),
+        "{}",
+        done.stderr()
+    );
+    let pixels = run(within(folder.path()), &["evaluate", "box.kiln", "--pixels", "20"], 2);
+    assert!(pixels.stderr().contains("--pixels"), "{}", pixels.stderr());
+    let lit = [
+        "preview",
+        "box.kiln",
+        "--out",
+        "a.png",
+        "--size",
+        "16x12",
+        "--backend",
+        "cpu",
+        "--light",
+        "point pos=0,1,0 power=5",
+    ];
+    let told = run(within(folder.path()), &lit, 0).stderr();
+    assert!(told.contains("keeps the bounced light"), "{told}");
     // A scene that nothing lights.
     fs::write(folder.path().join("dark.gltf"), DARK).unwrap();
     let done =

@@ -1,7 +1,7 @@
 //! A field without surfaces: light captured at probes under the lights of the scene's file, as \[Sukys2014\] and \[Luo2022\] have it. Its lights
 //! cannot change afterwards, and what lightmaps light elsewhere is lit by it.
 //!
-//! Chunks are those of every field: coefficients are transport over three columns, one a colour, whose light is 1.
+//! Chunks are those of every field, without transport: the light is stored as that of one emitter.
 
 mod settings;
 pub mod tasks;
@@ -10,13 +10,13 @@ use glam::Vec4;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 
+use super::field::{FieldPart, FieldTable, TetrahedronSet};
 use super::{Figures, Kind, field};
 use crate::chunk::ChunkRow;
-use crate::content::{PatchKey, PatchSet};
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
 use crate::manifest::{Manifest, ManifestError, all_finite};
-use crate::relight::{Inconsistent, PatchTable, SlotTable};
+use crate::relight::{Inconsistent, Parallel, PatchTable};
 use crate::settings::{SettingRow, SettingsError};
 
 pub use settings::{CaptureSettings, Settings, Structure};
@@ -27,8 +27,10 @@ pub const NAME: &str = "captured";
 /// Role of the chunk of tetrahedra, where probes stand on no lattice.
 pub const TETRAHEDRA: &str = "tetrahedra";
 
-/// Light of the three columns: one of each colour.
-pub const LAMBDA: [Vec4; 3] = [Vec4::X, Vec4::Y, Vec4::Z];
+/// Emitters that parts of a field name: the light is stored as that of one.
+pub const EMITTERS: usize = 1;
+/// Strength of that one.
+pub const EMITTER_SCALE: [f32; EMITTERS] = [1.0];
 
 /// Roles of all chunks of the field.
 const ROLES: [&str; 2] = [field::FIELD, TETRAHEDRA];
@@ -45,15 +47,14 @@ pub struct Body {
     pub field: field::FieldTotals,
 }
 
-/// Keys of the three columns.
-pub fn keys() -> [u64; 3] {
-    [0, 1, 2].map(|colour| PatchKey::of_sky(colour).0)
+/// The field of decoded parts; tetrahedra where probes stand on no lattice.
+pub fn joined(parts: &[FieldPart], tetrahedra: Option<&TetrahedronSet>) -> Result<FieldTable, Inconsistent> {
+    FieldTable::join(parts, tetrahedra, EMITTERS, &PatchTable::default())
 }
 
-/// The three columns: parts of a sky that nothing else is beside.
-pub fn columns() -> Result<PatchTable, Inconsistent> {
-    let set = PatchSet { leaf_starts: vec![0], sky_parts: LAMBDA.len() as u32, ..PatchSet::default() };
-    PatchTable::new(&set, &SlotTable::new([])?)
+/// Coefficients at its probes, W·m⁻².
+pub fn light(field: &FieldTable, parallel: &impl Parallel) -> Vec<Vec4> {
+    field.relit(parallel, &[], &EMITTER_SCALE)
 }
 
 impl Kind for Captured {
@@ -114,10 +115,28 @@ fn figures(manifest: &Manifest, before: &str) -> Result<Figures, ManifestError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::relight::Columns;
+    use crate::content::EmitterIrradiance;
+    use crate::kinds::field::{MAP_POINTS, PROBE_ROWS, Probe, ProbeKey};
+    use crate::relight::Serial;
 
     #[test]
-    fn columns_are_the_three_colours() {
-        assert_eq!(columns().unwrap().lambda_count(), LAMBDA.len());
+    fn light_of_probes_is_what_was_stored() {
+        let key = ProbeKey::of(glam::IVec3::ONE).unwrap();
+        let row = |j: usize| if j == 0 { [4.0, 2.0, 1.0] } else { [0.1 * j as f32, 0.0, 0.0] };
+        let part = FieldPart {
+            spacing_m: 0.5,
+            probes: vec![Probe { key, moved: [0; 3] }],
+            depths: vec![0; MAP_POINTS],
+            emitters: vec![EmitterIrradiance { emitter: 0, irradiance: (0..PROBE_ROWS).map(row).collect() }],
+            ..FieldPart::default()
+        };
+        let field = joined(std::slice::from_ref(&part), None).unwrap();
+        let found = light(&field, &Serial);
+        assert_eq!(found[0].truncate().to_array(), row(0));
+        assert_eq!(found[3].truncate().to_array(), row(3));
+        // A second emitter is of another kind of bake.
+        let second = EmitterIrradiance { emitter: 1, ..part.emitters[0].clone() };
+        let other = FieldPart { emitters: vec![second], ..part };
+        assert!(joined(&[other], None).is_err());
     }
 }

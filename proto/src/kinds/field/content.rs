@@ -85,10 +85,11 @@ pub struct FieldPart {
     pub emitters: Vec<EmitterIrradiance>,
 }
 
-/// Reciprocal octahedral distance of the nearest depth that a map tells, in steps of the lattice.
-const NEAREST: f32 = 10.0;
+/// Reciprocal octahedral distance of the nearest depth that a map tells, in steps of the lattice. Probes keep farther off surfaces: what a map told
+/// farther away than it is would let light through.
+const NEAREST: f32 = 40.0;
 
-/// Code of a depth: `round(65535 · min(s h, 10) / 10)` of the reciprocal s of an octahedral distance, 0 for the sky.
+/// Code of a depth: `round(65535 · min(s h, 40) / 40)` of the reciprocal s of an octahedral distance, 0 for the sky.
 pub fn depth_code(reciprocal: f32, spacing_m: f32) -> u16 {
     ((reciprocal * spacing_m / NEAREST).clamp(0.0, 1.0) * 65_535.0).round() as u16
 }
@@ -127,7 +128,7 @@ mod tests {
         assert_eq!((depth_code(0.0, 0.5), depth_of(0)), (0, 0.0));
         for distance in [0.06_f32, 0.3, 2.0] {
             let read = 0.5 / depth_of(depth_code(1.0 / distance, 0.5));
-            assert!((read / distance - 1.0).abs() < 2e-4 * distance / 0.5 + 1e-4, "{read} for {distance}");
+            assert!((read / distance - 1.0).abs() < 4e-4 * distance / 0.5 + 1e-4, "{read} for {distance}");
         }
     }
 }

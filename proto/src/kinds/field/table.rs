@@ -31,6 +31,9 @@ const ROUNDED_STEPS: f32 = 0.06;
 const ROUNDED_LEAST_M: f32 = 0.04;
 /// Depth in metres over which such probes count less, from that of the least on.
 const ROUNDED_M: f32 = 0.01;
+/// Height over surfaces at which they read their light, over the distance between probes, and at most, in metres.
+const RAISED_STEPS: f32 = 0.1;
+const RAISED_MOST_M: f32 = 0.1;
 /// Least sum of weights for which a cage's probes count; below it, those of the cages around it do.
 const WEIGHT_MIN: f32 = 1e-4;
 
@@ -138,6 +141,16 @@ impl FieldTable {
         }
         let beyond = self.reciprocal(probe, to) * distance_m;
         [if beyond <= 1.0 { 0.0 } else { distance_m * (1.0 - 1.0 / beyond) }, distance_m]
+    }
+
+    /// The place at which a surface reads its light, off it on the seen side by the less of 0.1 h and 10 cm: at the surface itself, a thin one
+    /// would have light of both of its sides.
+    pub fn raised(&self, point_m: Vec3, facet: Vec3) -> Vec3 {
+        let h_m = match &self.between {
+            Between::Lattice(_) => self.spacing_m,
+            Between::Tetrahedra(tetrahedra) => tetrahedra.cell_m,
+        };
+        point_m + facet * (RAISED_STEPS * h_m).min(RAISED_MOST_M)
     }
 
     /// Depth in metres at which a point behind a surface is hidden at the latest.

@@ -9,7 +9,7 @@ use crate::kinds::{SceneTasks, TaskKind};
 /// Receivers and patches → the tasks of a relightable bake, probes in free space, and the plan of the rest.
 pub const PLAN: TaskKind = TaskKind { name: "grid.plan", version: 4 };
 /// Some probes → their depth maps and factorised transport, as a chunk.
-pub const GATHER: TaskKind = TaskKind { name: "grid.gather", version: 3 };
+pub const GATHER: TaskKind = TaskKind { name: "grid.gather", version: 4 };
 /// Everything → manifest, directory and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "grid.assemble", version: 1 };
 

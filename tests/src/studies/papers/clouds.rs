@@ -1,14 +1,16 @@
 //! \[Sukys2014\]: placements by light, tessellations and leak edges, and a ball that is carried.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use glam::Vec3;
 use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::kinds::captured::tasks;
+use lightkiln_proto::kinds::field::Between;
 use lightkiln_proto::scene::LightKind;
 use lightkiln_worker::geometry::Site;
 
 use super::scene::{CapturedScene, Reading, error, mean};
 use super::{Table, percent};
+use crate::harness::free_points;
 use crate::scenes;
 
 /// Placements by light, as `field_placement` has them.
@@ -181,9 +183,10 @@ pub fn tessellations() -> Result<Table> {
     for (placement, how) in [(0.0, "even"), (2.0, "spawn and merge"), (3.0, "gradient ascent")] {
         for leak_edges in [0.0, 1.0] {
             let scene = cloud(&scenes::two_rooms(0.1), 1.0, placement, &[("field_leak_edges", leak_edges)])?;
-            let set = scene.tetrahedra()?;
-            let places_m: Vec<Vec3> = scene.places_m().collect();
-            let inner = set.vertices.iter().filter(|of| of.iter().all(|&vertex| vertex < set.probes));
+            let Between::Tetrahedra(found) = &scene.field.between else { bail!("there are no tetrahedra") };
+            let places_m: Vec<Vec3> = found.places_m.iter().map(|place_m| place_m.truncate()).collect();
+            let is_inner = |of: &&[u32; 4]| of.iter().all(|&vertex| (vertex as usize) < scene.field.len());
+            let inner = found.vertices.iter().filter(is_inner);
             let corners: Vec<[Vec3; 4]> =
                 inner.clone().map(|of| of.map(|vertex| places_m[vertex as usize])).collect();
             let mut angles: Vec<f32> = corners.iter().map(least_dihedral_angle).collect();
@@ -212,7 +215,7 @@ pub fn tessellations() -> Result<Table> {
                 how.to_owned(),
                 if leak_edges == 1.0 { "yes" } else { "no" }.to_owned(),
                 scene.field.len().to_string(),
-                format!("{:.1}", set.vertices.len() as f64 / scene.field.len().max(1) as f64),
+                format!("{:.1}", found.vertices.len() as f64 / scene.field.len().max(1) as f64),
                 format!("{:.1}°, {:.1}°, {:.1}°", angle(0.0), angle(0.25), angle(0.5)),
                 percent(cut),
                 leak(&|point_m, normal| scene.read(Reading::Valid, point_m, normal)),
@@ -252,7 +255,7 @@ pub fn carried() -> Result<Table> {
         let scene = cloud(&bundle, 1.0, placement, &[])?;
         let [low_m, high_m] = scene.geometry.near_bounds_m();
         let away_m = Vec3::splat(0.4);
-        let middles_m = scene.free_points([low_m + away_m, high_m - away_m], 8)?;
+        let middles_m = free_points(&scene.geometry, [low_m + away_m, high_m - away_m], 0.32, 8)?;
         let sites: Vec<Site> = middles_m
             .iter()
             .flat_map(|&middle_m| {

@@ -1,9 +1,9 @@
 //! A scene with light captured at probes, and ways to read it.
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use glam::{Vec3, Vec4};
 use lightkiln_proto::kinds::captured;
-use lightkiln_proto::kinds::field::{FieldTable, TetrahedronSet, decode_tetrahedra};
+use lightkiln_proto::kinds::field::FieldTable;
 use lightkiln_worker::geometry::{Geometry, Site};
 pub use lightkiln_worker::kinds::field::Reading;
 use lightkiln_worker::reference::{Lighting, Precision, Reference, luminance};
@@ -70,12 +70,6 @@ impl CapturedScene {
     /// So many free points of a box, 2 cm off surfaces at least.
     pub fn free_points(&self, box_m: [Vec3; 2], count: usize) -> Result<Vec<Vec3>> {
         free_points(&self.geometry, box_m, 0.02, count)
-    }
-
-    /// The tetrahedra.
-    pub fn tetrahedra(&self) -> Result<TetrahedronSet> {
-        let chunk = self.bake.manifest.chunks(captured::TETRAHEDRA).first().context("no tetrahedra")?;
-        Ok(decode_tetrahedra(&self.bake.chunk(chunk.digest)?)?)
     }
 
     /// Counts of the placement.

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Vec4};
-use lightkiln_proto::kinds::captured::{LAMBDA, Settings, columns, first_tasks, tasks};
+use lightkiln_proto::kinds::captured::{self, Settings, first_tasks, tasks};
 use lightkiln_proto::kinds::field::FieldTable;
 use lightkiln_proto::manifest::Manifest;
 
 use super::{lighting, role_of};
 use crate::evaluate::{Answer, ChunkBytes, Evaluated, EvaluationError, Place, Relit, TestLight};
 use crate::factors::Threads;
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Site};
 use crate::kinds::field::{self, SpaceLight};
 use crate::kinds::{BakeKinds, FirstTasks, made_anew};
 use crate::rays::Hit;
@@ -40,8 +40,9 @@ pub fn evaluated(
     made_anew(first, scene, progress, |context, _| {
         let geometry = Geometry::of(context).map_err(EvaluationError::Prepare)?;
         let lighting = lighting(&geometry).map_err(EvaluationError::Prepare)?;
-        let field = field::joined(manifest, role_of(&settings), &columns()?, bytes)?;
-        let rows = field.relit(&Threads, &LAMBDA, &[]);
+        let (parts, tetrahedra) = field::parts(manifest, role_of(&settings), bytes)?;
+        let field = captured::joined(&parts, tetrahedra.as_ref())?;
+        let rows = captured::light(&field, &Threads);
         let words = "the lights of the scene's file, which the bake has captured".to_owned();
         let light = TestLight { name: "captured".into(), words, lighting };
         Ok(CapturedBake { geometry, field, rows, light })
@@ -108,7 +109,8 @@ struct OnSurfaces<'a>(&'a CapturedBake);
 impl Relit for OnSurfaces<'_> {
     fn irradiance(&self, place: &Place) -> Option<DVec3> {
         let CapturedBake { field, rows, .. } = self.0;
-        Some(field.irradiance(rows, place.site.position_m, place.site.normal).as_dvec3())
+        let Site { position_m, normal, face_normal } = place.site;
+        Some(field.irradiance(rows, field.raised(position_m, face_normal), normal).as_dvec3())
     }
 
     fn bounces(&self) -> (usize, bool) {

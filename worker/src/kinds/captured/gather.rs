@@ -1,9 +1,9 @@
 //! Task `captured.gather`: light at the probes of a cell, and their depth maps.
 
 use glam::Vec3;
-use lightkiln_proto::content::TransportFactors;
+use lightkiln_proto::content::EmitterIrradiance;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::captured::{CaptureSettings, keys};
+use lightkiln_proto::kinds::captured::CaptureSettings;
 use lightkiln_proto::kinds::field::{FieldPart, FieldSettings, encode_field};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -15,7 +15,6 @@ use crate::kinds::field::{
     Account, Around, Capture, CaptureRays, Coefficients, RAYS_OF_PLACE, Survey, depths, fit_places,
     fit_shares, fitted_emitters,
 };
-use crate::kinds::prt::quantisation_error;
 use crate::rays::sampling::seed_of;
 use crate::reference::Reference;
 use crate::task::{Cancelled, Context, TaskError, TaskOutput, params};
@@ -87,16 +86,17 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         let shares = fit_shares(around.probes.len(), own, &places);
         shares.iter().flat_map(|of| fitted_emitters(of, &light)).collect()
     };
-    let factors = factors(&rows);
-    let account = Account { probes: own as u64, ranks: own as u64 * u64::from(factors.rank) };
+    let account = Account { probes: own as u64, ranks: 0 };
+    let irradiance = rows.as_flattened().iter().map(|light| light.map(rounded)).collect();
     let part = FieldPart {
         spacing_m: survey.step_m,
         probes: cell.receivers.iter().map(|&probe| survey.probe(probe as usize)).collect(),
         depths: maps.into_iter().take(own).flatten().collect(),
-        factors,
-        emitters: Vec::new(),
+        emitters: vec![EmitterIrradiance { emitter: 0, irradiance }],
+        ..FieldPart::default()
     };
-    let encoded = encode_field(&part, quantisation_error(params.field.field_rank_error))
+    // There is no transport whose numbers could err.
+    let encoded = encode_field(&part, 0.5)
         .map_err(|error| TaskError::bad_input_from("the probes cannot be stored", error))?;
     let account = serde_json::to_vec(&account)
         .map_err(|error| TaskError::bad_input_from("the account of probes cannot be written", error))?;
@@ -124,16 +124,24 @@ fn light(
     starts.par_iter().map(at).collect()
 }
 
-/// Rows as transport over the three columns; of rank 0 where all is dark.
-fn factors(rows: &[Coefficients]) -> TransportFactors {
-    if rows.as_flattened().as_flattened().iter().all(|value| *value == 0.0) {
-        return TransportFactors::default();
-    }
-    TransportFactors {
-        keys: keys().into(),
-        rank: 3,
-        u: rows.as_flattened().as_flattened().to_vec(),
-        vt: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        ..TransportFactors::default()
+/// The nearest number of 11 significant bits: the others are noise, and would take as many bytes again.
+fn rounded(light: f32) -> f32 {
+    const DROPPED: u32 = 13;
+    let half = 1 << (DROPPED - 1);
+    let near = f32::from_bits((light.to_bits() + half) & !((1 << DROPPED) - 1));
+    if near.is_finite() { near } else { light }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_keeps_eleven_bits_however_dim_it_is() {
+        for light in [0.0, 1.0, -3.5, 0.1, 1e-12, -7.7e8, f32::MAX] {
+            let near = rounded(light);
+            assert!((near - light).abs() <= light.abs() / 2048.0, "{near} for {light}");
+        }
+        assert_eq!(rounded(0.1).to_bits() & 0x1fff, 0);
     }
 }

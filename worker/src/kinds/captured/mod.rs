@@ -1,4 +1,4 @@
-//! Kind `captured`: light at probes in free space under the lights of the scene's file, which cannot change afterwards (METHOD.md §2.13).
+//! Kind `captured`: light at probes in free space under the lights of the scene's file, which cannot change afterwards (METHOD.md §2.14).
 //!
 //! `captured.plan` (probes, on a lattice or in tetrahedra) → `captured.gather` by cell of probes → `captured.assemble`. No surface has
 //! receivers or patches: probes light them too.
@@ -43,6 +43,14 @@ impl BakeKind for Captured {
 
     fn has_space(&self) -> bool {
         true
+    }
+
+    fn has_lightmap(&self) -> bool {
+        false
+    }
+
+    fn is_relightable(&self) -> bool {
+        false
     }
 
     fn evaluated(

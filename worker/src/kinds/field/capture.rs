@@ -2,7 +2,7 @@
 //! rectangles.
 //!
 //! `q_j = A_l 4π/N Σ_k Y_j(ω_k) L(ω_k)`, A_l = (π, 2π/3, π/4), for N rays that a seed turns. L is what the surface that a ray meets reflects,
-//! or the sky. What shines itself is sampled beside, and joined with the rays as for probes over patches.
+//! or the sky. Emissive surfaces are sampled beside, and joined with the rays as for probes over patches.
 
 use glam::{DVec3, Vec3};
 use lightkiln_proto::harmonics::relight_direction;

@@ -4,7 +4,9 @@ use glam::{DVec3, Vec3, Vec4};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::field::{FIELD, FieldTable, PROBE_ROWS, decode_field, decode_tetrahedra};
+use lightkiln_proto::kinds::field::{
+    FIELD, FieldPart, FieldTable, PROBE_ROWS, TetrahedronSet, decode_field, decode_tetrahedra,
+};
 use lightkiln_proto::kinds::prt::Settings;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
@@ -77,18 +79,20 @@ pub fn in_space(light: Box<dyn SpaceLight>) -> Box<dyn Evaluated> {
     Box::new(FieldSpace { light, emitters, points_m: Vec::new() })
 }
 
-/// The field of a bake's chunks, over some columns; the chunk of tetrahedra has that `role`, if there is one.
-pub fn joined(
+/// Parts of a field, and tetrahedra between its probes.
+pub type Parts = (Vec<FieldPart>, Option<TetrahedronSet>);
+
+/// The parts of a bake's field, and its tetrahedra, whose chunk has that `role`, if there is one.
+pub fn parts(
     manifest: &Manifest,
     role: Option<&'static str>,
-    columns: &PatchTable,
     bytes: ChunkBytes,
-) -> Result<FieldTable, EvaluationError> {
+) -> Result<Parts, EvaluationError> {
     let parts = manifest.chunks(FIELD).iter().map(|chunk| decoded(chunk, bytes, decode_field));
     let parts: Vec<_> = parts.collect::<Result<_, EvaluationError>>()?;
     let tetrahedra = role.and_then(|role| manifest.chunks(role).first());
     let tetrahedra = tetrahedra.map(|chunk| decoded(chunk, bytes, decode_tetrahedra)).transpose()?;
-    Ok(FieldTable::join(&parts, tetrahedra.as_ref(), manifest.emitters.len(), columns)?)
+    Ok((parts, tetrahedra))
 }
 
 /// Makes the bake's world anew and decodes its chunks; those of tetrahedra have that `role`, if it has some. `first` are the scene, its
@@ -102,7 +106,8 @@ pub fn evaluated(
     (bytes, progress): (ChunkBytes, &Progress),
 ) -> Result<FieldBake, EvaluationError> {
     let surfaces = prt::evaluated_of(kinds, manifest, first, relightable, bytes, progress)?;
-    let field = joined(manifest, role, surfaces.columns(), bytes)?;
+    let (parts, tetrahedra) = parts(manifest, role, bytes)?;
+    let field = FieldTable::join(&parts, tetrahedra.as_ref(), manifest.emitters.len(), surfaces.columns())?;
     Ok(FieldBake { surfaces, field })
 }
 

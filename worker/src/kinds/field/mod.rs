@@ -28,7 +28,7 @@ use crate::task::{Context, TaskError, artefact};
 pub use assemble::{Assembled, field_assembled};
 pub use capture::{Capture, CaptureRays, Coefficients, light_of_file};
 pub use depth::depths;
-pub use evaluated::{FieldBake, SpaceLight, evaluated, in_space, joined};
+pub use evaluated::{FieldBake, SpaceLight, evaluated, in_space, parts};
 pub use fit::{Around, Place as FitPlace, fitted_emitters, places as fit_places, shares as fit_shares};
 pub use gather::{
     Account, RAYS_OF_PLACE, run as gather, turn as uniform_turn, weights as irradiance_weights,

@@ -3,11 +3,12 @@
 use std::collections::BTreeSet;
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::kinds::field::{FieldTable, PROBE_ROWS};
+use lightkiln_proto::kinds::field::{FieldTable, PROBE_ROWS, deringed};
 use rayon::prelude::*;
 
 use super::capture::{Capture, CaptureRays, Coefficients};
 use super::readings::Reading;
+use crate::factors::Threads;
 use crate::geometry::Geometry;
 use crate::rays::sampling::seed_of;
 use crate::task::{Cancelled, Progress};
@@ -58,6 +59,8 @@ impl Truth {
         for (probe, of) in probes.into_iter().zip(of_probes) {
             rows[PROBE_ROWS * probe as usize..][..PROBE_ROWS].copy_from_slice(&of);
         }
+        // As those of a field are.
+        let rows = deringed(&Threads, &rows);
         Ok(Self { own, rows })
     }
 }
