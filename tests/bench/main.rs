@@ -1,7 +1,7 @@
 //! The load bench: what the queue costs and carries, how fast rays are, and what bakes take. `tests/bench/run` builds what it
 //! needs and runs it.
 //!
-//! Arguments name parts (`stores`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`,
+//! Arguments name parts (`stores`, `plans`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`,
 //! `relight`, `field`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
 //! keeps.
 
@@ -17,6 +17,7 @@ mod idle;
 mod model;
 #[path = "../../server/tests/parts/mod.rs"]
 mod parts;
+mod plans;
 mod queue;
 mod rays;
 mod relight;
@@ -27,8 +28,9 @@ mod stores;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 11] = [
+const PARTS: [(&str, fn()); 12] = [
     ("stores", stores::measure),
+    ("plans", plans::measure),
     ("queue", queue::measure),
     ("idle", idle::measure),
     ("workers", workers::measure),

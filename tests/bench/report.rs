@@ -34,6 +34,11 @@ pub fn row(what: &str, place: &str, figure: &str) {
     println!("| {what} | {place} | {figure} |");
 }
 
+/// A time in milliseconds.
+pub fn millis(time: Duration) -> String {
+    format!("{:.0} ms", time.as_secs_f64() * 1000.0)
+}
+
 /// The time that this share of the times is within.
 pub fn quantile(times: &mut [Duration], share: f64) -> Duration {
     times.sort_unstable();

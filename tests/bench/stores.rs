@@ -15,7 +15,7 @@ use lightkiln_server::store::{FarmStore, SqlStore, Submission};
 
 use crate::model::MemoryStore;
 use crate::parts::postgres::Postgres;
-use crate::report::{quantiles, row};
+use crate::report::{millis, quantiles, row};
 
 /// Tasks of a run. More → longer: each costs a few milliseconds.
 const TASKS: usize = 2_000;
@@ -162,18 +162,15 @@ impl Busy {
     }
 }
 
-fn millis(time: Duration) -> String {
-    format!("{:.0} ms", time.as_secs_f64() * 1000.0)
-}
-
 /// A bake: one task plans the others, as preparing does, and a last one needs them all.
-struct Run {
+pub struct Run {
     planner: TaskSpec,
     planned: Vec<TaskSpec>,
 }
 
 impl Run {
-    fn new(name: &str, tasks: usize) -> Self {
+    /// A bake of so many tasks beside those two; another name gives other tasks.
+    pub fn new(name: &str, tasks: usize) -> Self {
         // Of a kind of its own: who plans does not take a task of another run.
         let planner = TaskSpec { kind: PLAN.to_owned(), ..task(&format!("plan {name}"), &[]) };
         let planner = TaskSpec { key: planner.computed_key(), ..planner };
@@ -208,17 +205,28 @@ impl Run {
 
     /// Submits, and runs the planner; how long it took to take its plan in.
     async fn plan(&self, store: &dyn FarmStore) -> Duration {
+        let token = self.claim_planner(store).await;
+        Self::commit_plan(store, &token, &self.result()).await
+    }
+
+    /// Submits, and claims the planner.
+    pub async fn claim_planner(&self, store: &dyn FarmStore) -> String {
         let scene = KeptChunk { name: ChunkName::from(Digest::of(b"")), bytes: 0 };
         store.keep_chunk(scene, None, None).await.unwrap();
         self.submit(store).await;
-        let lease =
-            store.claim(&ClaimRequest { kinds: vec![PLAN.to_owned()], ..request("planner", 1) }).await;
-        let lease = lease.unwrap().remove(0);
+        let request = ClaimRequest { kinds: vec![PLAN.to_owned()], ..request("planner", 1) };
+        store.claim(&request).await.unwrap().remove(0).token
+    }
+
+    /// The planner's result.
+    pub fn result(&self) -> TaskResult {
+        TaskResult { plan: self.planned.clone(), ..TaskResult::default() }
+    }
+
+    /// Hands the planner's result in; how long that took.
+    pub async fn commit_plan(store: &dyn FarmStore, token: &str, result: &TaskResult) -> Duration {
         let started = Instant::now();
-        store
-            .commit(&lease.token, &TaskResult { plan: self.planned.clone(), ..TaskResult::default() })
-            .await
-            .unwrap();
+        assert_eq!(store.commit(token, result).await.unwrap(), CommitVerdict::Committed);
         started.elapsed()
     }
 }

@@ -4,7 +4,7 @@
 mod costs;
 mod load;
 mod measured;
-mod meter;
+pub mod meter;
 mod model;
 mod worker;
 
