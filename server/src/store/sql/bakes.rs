@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use lightkiln_proto::api::{Bake, BakeState, EventKind};
 
+use super::bulk;
 use super::chunks;
 use super::codec::to_json;
 use super::conn::{Conn, query};
@@ -24,6 +25,7 @@ pub(super) async fn submit(
         return Ok(Submitted { bake, is_new: false });
     }
     plan.clone()?;
+    bulk::take_time(conn, submission.plan.len()).await?;
     let seq = insert(conn, submission).await?;
     let mut bake = Ledger::load(conn, seq).await?;
     bake.event(EventKind::Submitted);

@@ -162,9 +162,10 @@ async fn lock_chunks(conn: &mut Conn, result: &TaskResult) -> Result<()> {
 }
 
 async fn plan_names_known(conn: &mut Conn, result: &TaskResult) -> Result<bool> {
-    let keys: Vec<TaskKey> = result.plan.iter().map(|task| task.key).collect();
-    let sql = "SELECT 1 FROM json_each($1) j JOIN tasks t ON t.key = j.value LIMIT 1";
-    Ok(query(sql).bind(to_json(&keys)?).optional(conn).await?.is_some())
+    // PostgreSQL reads a list of keys between commas in a fraction of the time that JSON takes, and looks them up in order.
+    let keys: Vec<String> = result.plan.iter().map(|task| task.key.to_string()).collect();
+    let sql = "SELECT 1 FROM tasks WHERE key = ANY (string_to_array($1, ',')) LIMIT 1";
+    Ok(query(sql).bind(keys.join(",")).optional(conn).await?.is_some())
 }
 
 /// Finds and locks the good leases among those of some results. With them come those that somebody else has locked, if these are left,

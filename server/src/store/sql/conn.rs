@@ -4,14 +4,12 @@
 
 use std::sync::Arc;
 
+use sqlx::postgres::{PgConnection, PgCopyIn};
 use sqlx::{AssertSqlSafe, ColumnIndex, Postgres, Row as _, Sqlite, Transaction};
 
 use super::Kind;
 use super::faults::{FaultPoint, Faults};
 use crate::store::{Result, StoreError};
-
-/// Bytes of rows that are sent at a time.
-const COPIED_TOGETHER: usize = 1 << 20;
 
 /// A transaction under way. Dropped without [`Conn::commit`], it never happened.
 pub(super) struct Conn {
@@ -54,18 +52,13 @@ impl Conn {
         matches!(self.tx, Tx::Postgres(_)) && self.kind != Kind::Write
     }
 
-    /// Copies rows into a table, as its text format has them; PostgreSQL alone does.
-    pub(super) async fn copy(&mut self, sql: &'static str, rows: String) -> Result<()> {
+    /// Begins to copy rows into a table, as its text format has them; PostgreSQL alone does.
+    pub(super) async fn copy(&mut self, sql: &'static str) -> Result<PgCopyIn<&mut PgConnection>> {
         self.point(sql).await?;
-        let Tx::Postgres(tx) = &mut self.tx else {
-            return Err(corrupt("rows are copied into PostgreSQL alone", sql));
-        };
-        let mut copy = tx.copy_in_raw(sql).await?;
-        for part in rows.as_bytes().chunks(COPIED_TOGETHER) {
-            copy.send(part).await?;
+        match &mut self.tx {
+            Tx::Sqlite(_) => Err(corrupt("rows are copied into PostgreSQL alone", sql)),
+            Tx::Postgres(tx) => Ok(tx.copy_in_raw(sql).await?),
         }
-        copy.finish().await?;
-        Ok(())
     }
 
     /// Makes all of it happen.

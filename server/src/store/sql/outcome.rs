@@ -8,6 +8,7 @@ use lightkiln_proto::jobs::TaskResult;
 
 use super::alarms;
 use super::batch::Given;
+use super::bulk;
 use super::codec::to_json;
 use super::conn::{Conn, query, steps};
 use super::leases::{self, Ended, requeue};
@@ -44,6 +45,7 @@ pub(super) async fn commit(
     };
     // Refuse a bad plan by an error: it undoes the transaction, so the holder keeps its lease and can report the failure.
     plan.clone()?;
+    bulk::take_time(conn, result.plan.len()).await?;
     write_result(conn, token, &ended, result).await?;
     // Unlock dependants in this transaction, so that no crash leaves them waiting for a task that is done.
     if ended.has_dependants {

@@ -1,12 +1,15 @@
 //! Adding tasks to a bake, in batches: the plans of tasks done already are followed layer by layer.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::panic::resume_unwind;
+use std::thread;
 
 use lightkiln_proto::api::EventKind;
 use lightkiln_proto::ids::{Digest, TaskKey};
 use lightkiln_proto::jobs::{MAX_PLAN_TASKS, TaskResult, TaskSpec};
 
-use super::bulk::{self, COPIED_FROM, Field, Rows, Standing};
+use super::bulk::{self, COPIED_FROM, Field, Standing};
 use super::chunks;
 use super::codec::{ROWS_PER_STATEMENT, to_json};
 use super::conn::{Conn, query};
@@ -19,8 +22,10 @@ use crate::store::{PlanError, Result, StoreError};
 
 /// Plans up to so many tasks are checked on the caller's thread.
 const CHECKED_HERE: usize = 64;
-/// Tasks of a bigger plan that are copied for another thread at a time. More → the caller's thread is held for longer.
-const CHECKED_TOGETHER: usize = 1_000;
+/// Tasks of a bigger plan that are checked before the caller's thread does something else: some milliseconds. More → it is held for longer.
+const CHECKED_TOGETHER: usize = 4_000;
+/// Most threads that check them.
+const CHECKERS_MAX: usize = 8;
 
 /// A task that the farm has.
 struct Known {
@@ -36,11 +41,13 @@ struct Added {
     needs: Vec<TaskKey>,
 }
 
-/// A task that another one depends on, as far as that one's state tells.
+/// A task of the bake that others may depend on, as far as their states and edges tell.
 #[derive(Clone, Copy)]
 struct Needed {
     is_done: bool,
     cost: u64,
+    /// Its row; none yet for a new task.
+    id: Option<i64>,
 }
 
 /// Growth of one kind of task.
@@ -60,9 +67,9 @@ struct Addition<'a> {
     bake: &'a mut Ledger,
     added: Vec<Added>,
     /// Tasks that the farm does not have.
-    fresh: BTreeMap<TaskKey, TaskSpec>,
-    ids: BTreeMap<TaskKey, i64>,
-    needed: BTreeMap<TaskKey, Needed>,
+    fresh: BTreeMap<TaskKey, Cow<'a, TaskSpec>>,
+    /// Looked up for each edge, and never walked.
+    needed: HashMap<TaskKey, Needed>,
     /// Tasks that the farm has: each with whether it is done, and the place of its result.
     members: Vec<(i64, bool, Option<u64>)>,
     /// In order of first appearance.
@@ -73,21 +80,34 @@ struct Addition<'a> {
     required: BTreeSet<Digest>,
 }
 
-/// Checks what can be seen in a plan alone ([`check_plan`]), before any lock is taken and away from the threads that answer calls: every
-/// task is hashed.
+/// Checks what can be seen in a plan alone ([`check_plan`]), before any lock is taken: every task is hashed. Long plans are checked in
+/// parts, on all processors, and callers of other calls get their turns in between.
 pub(super) async fn check(plan: &[TaskSpec]) -> Result<(), PlanError> {
     if plan.len() <= CHECKED_HERE || plan.len() > MAX_PLAN_TASKS {
         return check_plan(plan);
     }
+    let threads = thread::available_parallelism().map_or(1, usize::from).min(CHECKERS_MAX);
     for part in plan.chunks(CHECKED_TOGETHER) {
-        let owned = part.to_vec();
-        match tokio::task::spawn_blocking(move || check_plan(&owned)).await {
-            Ok(checked) => checked?,
-            // The process is about to end.
-            Err(_) => check_plan(part)?,
-        }
+        check_side_by_side(part, threads)?;
+        tokio::task::yield_now().await;
     }
     Ok(())
+}
+
+/// Checks tasks on some threads; of several faults the first in the plan counts.
+fn check_side_by_side(plan: &[TaskSpec], threads: usize) -> Result<(), PlanError> {
+    thread::scope(|scope| {
+        let check = |part| {
+            let spawned = thread::Builder::new().spawn_scoped(scope, move || check_plan(part));
+            // Where no thread is to be had, this one does it.
+            spawned.map_err(|_| check_plan(part))
+        };
+        let checks: Vec<_> = plan.chunks(plan.len().div_ceil(threads)).map(check).collect();
+        checks.into_iter().try_for_each(|check| match check {
+            Ok(thread) => thread.join().unwrap_or_else(|panic| resume_unwind(panic)),
+            Err(checked) => checked,
+        })
+    })
 }
 
 /// Adds `plan` to the bake. The ledger is changed, not saved. `made` are the tasks that this transaction made.
@@ -97,14 +117,10 @@ pub(super) async fn apply_plan(
     plan: &[TaskSpec],
     made: &mut BTreeSet<TaskKey>,
 ) -> Result<()> {
-    let (added, members, stages) = (Vec::new(), Vec::new(), Vec::new());
-    let (fresh, ids, needed) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
-    let (named, required) = (BTreeSet::new(), BTreeSet::new());
-    let mut addition =
-        Addition { conn, bake, added, fresh, ids, needed, members, stages, reused: 0, named, required };
-    let mut layer = plan.to_vec();
+    let mut addition = Addition::new(conn, bake);
+    let mut layer: Vec<Cow<'_, TaskSpec>> = plan.iter().map(Cow::Borrowed).collect();
     while !layer.is_empty() {
-        layer = addition.add_layer(layer, made).await?;
+        layer = addition.add_layer(layer, made).await?.into_iter().map(Cow::Owned).collect();
     }
     if addition.added.is_empty() {
         return Ok(());
@@ -120,9 +136,20 @@ pub(super) async fn apply_plan(
     Ok(())
 }
 
-impl Addition<'_> {
+impl<'a> Addition<'a> {
+    fn new(conn: &'a mut Conn, bake: &'a mut Ledger) -> Self {
+        let (added, members, stages) = (Vec::new(), Vec::new(), Vec::new());
+        let (fresh, needed) = (BTreeMap::new(), HashMap::new());
+        let (named, required) = (BTreeSet::new(), BTreeSet::new());
+        Self { conn, bake, added, fresh, needed, members, stages, reused: 0, named, required }
+    }
+
     /// Adds tasks, and returns those planned by the ones that are done already.
-    async fn add_layer(&mut self, layer: Vec<TaskSpec>, made: &BTreeSet<TaskKey>) -> Result<Vec<TaskSpec>> {
+    async fn add_layer(
+        &mut self,
+        layer: Vec<Cow<'a, TaskSpec>>,
+        made: &BTreeSet<TaskKey>,
+    ) -> Result<Vec<TaskSpec>> {
         // Beside others, a plan that names a task of the farm was left out before; the first bake's tasks are all new.
         let is_new = self.conn.has_neighbours() && made.is_empty();
         let known = if is_new { BTreeMap::new() } else { self.known(&layer).await? };
@@ -134,7 +161,8 @@ impl Addition<'_> {
         let mut done: Vec<i64> = Vec::new();
         for spec in layer {
             let key = spec.key;
-            let earlier = known.get(&key).map(|known| &known.spec).or_else(|| self.fresh.get(&key));
+            let earlier =
+                known.get(&key).map(|known| &known.spec).or_else(|| self.fresh.get(&key).map(Cow::as_ref));
             if earlier.is_some_and(|earlier| !is_same_task(earlier, &spec)) {
                 return Err(PlanError::KeyClash { key }.into());
             }
@@ -143,13 +171,12 @@ impl Addition<'_> {
                 continue;
             }
             let is_done = known.is_some_and(|known| known.state == "done");
-            self.needed
-                .insert(key, Needed { is_done, cost: known.map_or(spec.cost, |known| known.spec.cost) });
+            let cost = known.map_or(spec.cost, |known| known.spec.cost);
+            self.needed.insert(key, Needed { is_done, cost, id: known.map(|known| known.id) });
             match known {
                 Some(task) => {
                     self.count(&task.spec, &task.state);
                     self.added.push(Added { key, needs: dependencies(&task.spec) });
-                    self.ids.insert(key, task.id);
                     let place = is_done.then(|| self.bake.next_place());
                     self.members.push((task.id, is_done, place));
                     if is_done {
@@ -200,7 +227,7 @@ impl Addition<'_> {
         }
     }
 
-    async fn known(&mut self, layer: &[TaskSpec]) -> Result<BTreeMap<TaskKey, Known>> {
+    async fn known(&mut self, layer: &[Cow<'_, TaskSpec>]) -> Result<BTreeMap<TaskKey, Known>> {
         let sql = "SELECT t.id, t.key, t.kind, t.version, t.params, t.inputs, t.cost, t.state,
                    EXISTS (SELECT 1 FROM bake_tasks m WHERE m.bake = $1 AND m.task = t.id) AS is_member
                    FROM json_each($2) j JOIN tasks t ON t.key = j.value";
@@ -237,12 +264,12 @@ impl Addition<'_> {
              (v ->> 9)::bigint, (v ->> 10)::bigint FROM jsonb_array_elements($1::jsonb) AS j (v) RETURNING id, key",
         );
         // In the order of their keys: two additions that make the same tasks wait for each other in one order.
-        let specs: Vec<&TaskSpec> = self.fresh.values().collect();
+        let specs: Vec<&TaskSpec> = self.fresh.values().map(Cow::as_ref).collect();
         let mut offers = Vec::new();
         for specs in specs.chunks(ROWS_PER_STATEMENT) {
             let (mut rows, mut free) = (Vec::with_capacity(specs.len()), BTreeMap::new());
             for spec in specs {
-                let (standing, cost) = self.standing(spec);
+                let (standing, cost) = standing(spec, &self.needed);
                 let (params, inputs) = (to_json(&spec.params)?, to_json(&spec.inputs)?);
                 let TaskSpec { key, kind, label, alike, version, .. } = spec;
                 let Standing { state, waiting_count, claim_cost } = standing;
@@ -256,7 +283,7 @@ impl Addition<'_> {
             }
             for row in query(sql).bind(to_json(&rows)?).all(self.conn).await? {
                 let (id, key) = (row.get("id")?, row.digest("key")?);
-                self.ids.insert(key, id);
+                self.needed.entry(key).and_modify(|task| task.id = Some(id));
                 self.members.push((id, false, None));
                 if let Some((cost, kind)) = free.get(&key) {
                     offers.push(Offer { cost: *cost, key, task: id, kind: (*kind).clone() });
@@ -266,38 +293,41 @@ impl Addition<'_> {
         Ok(offers)
     }
 
-    /// The state in which a new task is written, and the cost that it is claimed by.
-    fn standing(&self, spec: &TaskSpec) -> (Standing, u64) {
-        let needs: Vec<Needed> =
-            dependencies(spec).iter().filter_map(|key| self.needed.get(key).copied()).collect();
-        let waiting_count = needs.iter().filter(|needed| !needed.is_done).count();
-        let cost = claim_cost(spec.cost, needs.iter().map(|needed| needed.cost));
-        let state = if waiting_count == 0 { "ready" } else { "waiting" };
-        let claim_cost = (cost != spec.cost).then_some(cost);
-        (Standing { state, waiting_count, claim_cost }, cost)
-    }
-
     /// Makes the new tasks of a big plan, with all that belongs to them; returns those that are left to be offered: none.
     async fn copy_fresh(&mut self) -> Result<Vec<Offer>> {
         let (bake, now_ms) = (self.bake.seq, self.conn.now_ms);
         let ids = bulk::task_ids(self.conn, self.fresh.len()).await?;
-        let [mut tasks, mut members, mut ready, mut edges] = [const { Rows::new() }; 4];
-        for (id, spec) in ids.into_iter().zip(self.fresh.values()) {
-            let (standing, cost) = self.standing(spec);
-            bulk::push_task(&mut tasks, id, spec, &standing)?;
-            members.push(&[Field::Int(bake), Field::Int(id), Field::Int(0), Field::Int(0)]);
-            if standing.waiting_count == 0 {
-                bulk::push_ready(&mut ready, (bake, id), spec, cost, now_ms);
+        for (id, key) in ids.iter().zip(self.fresh.keys()) {
+            self.needed.entry(*key).and_modify(|task| task.id = Some(*id));
+        }
+        let fresh: Vec<NewTask<'_>> = ids
+            .iter()
+            .zip(self.fresh.values())
+            .map(|(id, spec)| NewTask::of(*id, spec, &self.needed))
+            .collect();
+        let edges = self.edges(|key| self.fresh.contains_key(key));
+        let conn = &mut *self.conn;
+        bulk::copy(conn, bulk::TASKS, &fresh, |rows, task| {
+            bulk::push_task(rows, task.id, task.spec, &task.standing)
+        })
+        .await?;
+        bulk::copy(conn, bulk::MEMBERS, &ids, |rows, id| {
+            rows.push(&[Field::Int(bake), Field::Int(*id), Field::Int(0), Field::Int(0)]);
+            Ok(())
+        })
+        .await?;
+        bulk::copy(conn, bulk::EDGES, &edges, |rows, (task, needs)| {
+            rows.push(&[Field::Int(*task), Field::Int(*needs)]);
+            Ok(())
+        })
+        .await?;
+        bulk::copy(conn, bulk::READY, &fresh, |rows, task| {
+            if task.standing.waiting_count == 0 {
+                bulk::push_ready(rows, (bake, task.id), task.spec, task.cost, now_ms);
             }
-            self.ids.insert(spec.key, id);
-        }
-        for (task, needs) in self.edges(|key| self.fresh.contains_key(key)) {
-            edges.push(&[Field::Int(task), Field::Int(needs)]);
-        }
-        tasks.copy(self.conn, bulk::TASKS).await?;
-        members.copy(self.conn, "COPY bake_tasks (bake, task, done, reused) FROM STDIN").await?;
-        edges.copy(self.conn, "COPY task_needs (task, needs) FROM STDIN").await?;
-        ready.copy(self.conn, bulk::READY).await?;
+            Ok(())
+        })
+        .await?;
         Ok(Vec::new())
     }
 
@@ -343,8 +373,9 @@ impl Addition<'_> {
     fn edges(&self, of: impl Fn(&TaskKey) -> bool) -> Vec<(i64, i64)> {
         let mut edges = Vec::new();
         for task in self.added.iter().filter(|task| of(&task.key)) {
-            let ids = task.needs.iter().filter_map(|needs| self.ids.get(needs));
-            edges.extend(ids.filter_map(|needs| Some((*self.ids.get(&task.key)?, *needs))));
+            let id_of = |key| self.needed.get(key).and_then(|task| task.id);
+            let Some(id) = id_of(&task.key) else { continue };
+            edges.extend(task.needs.iter().filter_map(id_of).map(|needs| (id, needs)));
         }
         edges.sort_unstable();
         edges.dedup();
@@ -376,8 +407,8 @@ impl Addition<'_> {
         for keys in before.chunks(ROWS_PER_STATEMENT) {
             for row in query(sql).bind(to_json(keys)?).bind(self.bake.seq).all(self.conn).await? {
                 let (key, is_done) = (row.digest("key")?, row.text("state")? == "done");
-                self.ids.insert(key, row.get("id")?);
-                self.needed.insert(key, Needed { is_done, cost: row.count("cost")? });
+                let (cost, id) = (row.count("cost")?, Some(row.get("id")?));
+                self.needed.insert(key, Needed { is_done, cost, id });
             }
         }
         let mut needs = self.added.iter().flat_map(|task| &task.needs);
@@ -411,5 +442,51 @@ impl Addition<'_> {
                 .await?;
         }
         Ok(())
+    }
+}
+
+/// A new task with its number.
+struct NewTask<'a> {
+    id: i64,
+    spec: &'a TaskSpec,
+    standing: Standing,
+    /// Cost by which it is claimed.
+    cost: u64,
+}
+
+impl<'a> NewTask<'a> {
+    fn of(id: i64, spec: &'a TaskSpec, needed: &HashMap<TaskKey, Needed>) -> Self {
+        let (standing, cost) = standing(spec, needed);
+        Self { id, spec, standing, cost }
+    }
+}
+
+/// The state in which a new task is written, and the cost that it is claimed by.
+fn standing(spec: &TaskSpec, needed: &HashMap<TaskKey, Needed>) -> (Standing, u64) {
+    let needs: Vec<Needed> = dependencies(spec).iter().filter_map(|key| needed.get(key).copied()).collect();
+    let waiting_count = needs.iter().filter(|needed| !needed.is_done).count();
+    let cost = claim_cost(spec.cost, needs.iter().map(|needed| needed.cost));
+    let state = if waiting_count == 0 { "ready" } else { "waiting" };
+    let claim_cost = (cost != spec.cost).then_some(cost);
+    (Standing { state, waiting_count, claim_cost }, cost)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_fault_of_a_plan_counts_on_any_number_of_threads() {
+        let task = |number: u32| TaskSpec::new("work", 1, "", serde_json::json!(number), Vec::new(), 1);
+        let mut plan: Vec<TaskSpec> = (0..50).map(task).collect();
+        for threads in [1, 2, 7, 64] {
+            assert_eq!(check_side_by_side(&plan, threads), Ok(()));
+        }
+        plan[20].kind = "other".into();
+        plan[40].kind = "other".into();
+        let (key, computed) = (plan[20].key, plan[20].computed_key());
+        for threads in [1, 2, 7, 64] {
+            assert_eq!(check_side_by_side(&plan, threads), Err(PlanError::WrongKey { key, computed }));
+        }
     }
 }

@@ -47,7 +47,8 @@
 //! **Bakes that are locked for long** hold up their own callers: [`patience`](super::patience) says how the others pass them.
 //!
 //! **A server that is stopped in the middle** holds its locks until `idle_in_transaction_session_timeout` ends its
-//! session; one that dies loses them with its connection. In both cases the transaction never happened.
+//! session, later in the middle of a long plan ([`take_time`](super::bulk::take_time)); one that dies loses them with its
+//! connection. In both cases the transaction never happened.
 //!
 //! **Time** is the database's: servers' clocks may disagree, and a lease is granted by one server and judged by
 //! another. It is read once the turnstile is passed. Tests give a clock.
@@ -79,7 +80,7 @@ const MIGRATION_TRIES: u32 = 10;
 /// Lowest version that is tested.
 const VERSION_MIN: i32 = 150_000;
 /// Steps of the schema, from one version to the next.
-const MIGRATIONS: [&str; 18] = [
+const MIGRATIONS: [&str; 19] = [
     include_str!("schema/postgres_1.sql"),
     include_str!("schema/postgres_2.sql"),
     include_str!("schema/postgres_3.sql"),
@@ -98,6 +99,7 @@ const MIGRATIONS: [&str; 18] = [
     include_str!("schema/postgres_16.sql"),
     include_str!("schema/postgres_17.sql"),
     include_str!("schema/postgres_18.sql"),
+    include_str!("schema/postgres_19.sql"),
 ];
 
 /// Settings of every connection. Shorter timeouts → a server that hangs holds the others up for less, and a slow
