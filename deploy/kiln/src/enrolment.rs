@@ -1,5 +1,6 @@
 //! A worker's own token: made here, exchanged a code for, and kept in a file that nobody else may read.
 
+use std::error::Error;
 use std::fs::{self, File};
 use std::io::{ErrorKind, Write as _};
 use std::os::unix::fs::{OpenOptionsExt as _, PermissionsExt as _};
@@ -61,7 +62,8 @@ fn exchange(
 ) -> std::result::Result<String, CallError> {
     let is_over = |level| level > Level::Run;
     let pause = |error: &CallError, wait| {
-        tracing::warn!(%error, "this worker could not be enrolled; trying again");
+        let error = error as &dyn Error;
+        tracing::warn!(error, "this worker could not be enrolled; trying again");
         if is_over(interrupt.flag().wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
     };
     retry(FOREVER, || enrol(&config.server_url, config.ca_pem.as_deref(), code, token), pause)

@@ -138,13 +138,34 @@ impl From<ClientError> for Failure {
         let failure = Self::of(exit, &error);
         let is_busy =
             matches!(&error, ClientError::Call(error) if error.code() == Some(ProblemCode::TooManyRequests));
+        let tls_step = match &error {
+            ClientError::Call(error) => tls_step(error),
+            _ => None,
+        };
         if is_busy {
             failure.try_this("the same command a little later")
+        } else if let Some(tls_step) = tls_step {
+            failure.try_this(tls_step)
         } else if exit == Exit::Unreachable {
             failure.try_this("start one with 'kiln server', or bake without --server")
         } else {
             failure
         }
+    }
+}
+
+/// The next step where a server is there, and one side alone speaks TLS or its certificate is not trusted.
+fn tls_step(error: &CallError) -> Option<&'static str> {
+    let CallError::Network { call, source } = error else { return None };
+    let cause = source.to_string();
+    if cause.contains("certificate") {
+        Some("--ca FILE, or KILN_CA, with the certificate of the authority that signed the server's")
+    } else if cause.contains("InvalidContentType") {
+        Some("http:// in the server's URL, unless it has a certificate")
+    } else if call.contains(" http://") && cause.contains("http parse fail") {
+        Some("https:// in the server's URL, if it has a certificate")
+    } else {
+        None
     }
 }
 

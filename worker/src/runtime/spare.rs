@@ -3,6 +3,7 @@
 //! They are in the seat's notes from their arrival: a process that ends without a word leaves all of them to the next one.
 
 use std::collections::VecDeque;
+use std::error::Error;
 use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -60,7 +61,8 @@ impl Worker {
     fn claim(&self, shutdown: &ShutdownFlag, shift: &Shift) -> Result<Vec<Lease>, CallError> {
         let is_over = |level| level > Level::Run;
         let pause = |error: &CallError, wait: Duration| {
-            tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "no task could be claimed; trying again");
+            let (error, wait_secs) = (error as &dyn Error, wait.as_secs_f64());
+            tracing::warn!(error, wait_secs, "no task could be claimed; trying again");
             shift.note_silence();
             if is_over(shutdown.wait(wait, is_over)) { Err(CallError::Stopped) } else { Ok(()) }
         };

@@ -1,6 +1,7 @@
 //! Artefacts as one task sees them: this worker's disk first, then the server; tried again until it answers or the
 //! task is given up.
 
+use std::error::Error;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -45,7 +46,8 @@ impl LeaseStore<'_> {
             aside.wait(PATIENCE, is_given_up).unwrap_or(Err(CallError::Stopped))
         };
         retry(FOREVER, once, |error, wait| {
-            tracing::warn!(%error, wait_secs = wait.as_secs_f64(), "a call failed; trying again");
+            let (error, wait_secs) = (error as &dyn Error, wait.as_secs_f64());
+            tracing::warn!(error, wait_secs, "a call failed; trying again");
             check(self.shutdown.wait(wait, is_given_up))
         })
     }

@@ -83,7 +83,12 @@ pub fn run(arguments: Arguments, kinds: &BakeKinds) -> Result<()> {
     config.memory_limit = arguments.memory_limit_mib.map(|mib| mib << 20);
     config.ca_pem = arguments.server.trust.pem()?;
     config.token = match own_token()? {
-        Some(token) => Some(token),
+        Some(token) => {
+            if arguments.enrol.is_some_and(|code| !code.is_empty()) {
+                say!("KILN_TOKEN is set and goes before --enrol: the code was not used");
+            }
+            Some(token)
+        }
         None => {
             let file = or_in_state(arguments.token_file, "worker-token")?;
             token_of_worker(&config, &file, arguments.enrol.as_deref(), &interrupt)?
