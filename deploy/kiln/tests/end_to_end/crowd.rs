@@ -137,7 +137,7 @@ fn readiness_is_told_within_seconds_while_the_database_is_stopped() {
     let mut command = kiln(folder.path());
     command.env("KILN_DATABASE", database.url(None));
     let server = Server::start_with(command, &[]);
-    assert!(get(&server.url, "/readyz").starts_with("HTTP/1.1 200"));
+    wait_until_ready(&server);
     let stopped = Stopped::postgres(database.port());
     let began = Instant::now();
     let answer = get(&server.url, "/readyz");
@@ -146,9 +146,14 @@ fn readiness_is_told_within_seconds_while_the_database_is_stopped() {
     assert!(began.elapsed() < Duration::from_secs(20), "{:?}", began.elapsed());
     assert!(get(&server.url, "/healthz").starts_with("HTTP/1.1 200"));
     drop(stopped);
+    wait_until_ready(&server);
+}
+
+/// Waits for a server whose database answers: on a busy machine not always within the second that readiness takes for an answer.
+fn wait_until_ready(server: &Server) {
     let deadline = Instant::now() + LIMIT;
     while !get(&server.url, "/readyz").starts_with("HTTP/1.1 200") {
-        assert!(Instant::now() < deadline, "it is ready again once the database goes on");
+        assert!(Instant::now() < deadline, "it is not ready while its database goes on");
         std::thread::park_timeout(Duration::from_millis(100));
     }
 }
