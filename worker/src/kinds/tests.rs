@@ -4,12 +4,26 @@ mod cancel;
 
 use std::collections::BTreeSet;
 
-use lightkiln_proto::kinds::Kinds;
-use serde_json::json;
+use lightkiln_proto::kinds::{Kind, Kinds};
+use serde_json::{Value, json};
 
 use super::*;
 
 const FURNACE: &[u8] = include_bytes!("../../../tests/scenes/furnace.glb");
+
+/// Settings of a small draft, as far as a kind has them.
+fn small(kind: &dyn Kind, receivers: u32, rays: u32) -> Value {
+    let all = [("receivers_target", receivers), ("transport_rays", rays)];
+    let mut settings = json!({ "preset": "draft" });
+    for (name, value) in all.into_iter().filter(|(name, _)| has(kind, name)) {
+        settings[name] = value.into();
+    }
+    settings
+}
+
+fn has(kind: &dyn Kind, setting: &str) -> bool {
+    kind.settings().iter().any(|row| row.name == setting)
+}
 
 #[test]
 fn every_kind_of_the_contract_has_its_tasks_here_and_no_task_two_runners() {
@@ -25,11 +39,12 @@ fn bakes_of_two_kinds_of_one_scene_share_the_tasks_over_it() {
     let (progress, runner) = (Progress::new(), Runner::new(&BakeKinds::new()));
     let mut run = LocalRun::new(1 << 30, &progress);
     let scene = run.shelf.put(FURNACE.to_vec());
-    let settings = json!({ "preset": "draft", "receivers_target": 2000, "transport_rays": 16 });
     let ran: Vec<Vec<String>> = Kinds::new()
         .iter()
+        // Without receivers there is no lightmap, and meshes have no places in one.
+        .filter(|kind| has(*kind, "receivers_target"))
         .map(|kind| {
-            let plan = kind.first_tasks(scene, &settings).unwrap();
+            let plan = kind.first_tasks(scene, &small(kind, 2000, 16)).unwrap();
             let mut ran = Vec::new();
             run.run(&runner, plan, |_| true, |task| ran.push(task.kind.clone())).unwrap();
             assert!(ran.iter().any(|task| task.starts_with(kind.name())), "{ran:?}");
@@ -47,8 +62,7 @@ fn plans_name_all_that_they_plan_in_their_keys() {
     for kind in Kinds::new().iter() {
         let mut run = LocalRun::new(1 << 30, &progress);
         let scene = run.shelf.put(FURNACE.to_vec());
-        let settings = json!({ "preset": "draft", "receivers_target": 2000, "transport_rays": 16 });
-        let first = kind.first_tasks(scene, &settings).unwrap();
+        let first = kind.first_tasks(scene, &small(kind, 2000, 16)).unwrap();
         let plan = first.last().unwrap().clone();
         let known: BTreeSet<String> = first.iter().map(|task| task.kind.clone()).collect();
         let mut planned = BTreeSet::new();
@@ -65,18 +79,19 @@ fn plans_name_all_that_they_plan_in_their_keys() {
         .unwrap();
         assert!(!planned.is_empty());
         let named = plan.params["plans"].as_object().unwrap();
-        assert_eq!(named.keys().collect::<BTreeSet<_>>(), planned.iter().collect(), "{}", kind.name());
+        let named: BTreeSet<String> = named.keys().cloned().collect();
+        // What a plan does as tasks of other kinds do is named as well.
+        assert!(named.is_superset(&planned), "{}: {named:?}, not {planned:?}", kind.name());
     }
 }
 
 #[test]
 fn bakes_that_differ_by_the_name_of_the_preset_share_the_transport() {
     let (progress, runner) = (Progress::new(), Runner::new(&BakeKinds::new()));
-    for kind in Kinds::new().iter() {
+    for kind in Kinds::new().iter().filter(|kind| has(*kind, "transport_rays")) {
         let mut run = LocalRun::new(1 << 30, &progress);
         let scene = run.shelf.put(FURNACE.to_vec());
-        let settings = json!({ "preset": "draft", "receivers_target": 2000, "transport_rays": 16 });
-        let mut settings = kind.resolve(&settings).unwrap();
+        let mut settings = kind.resolve(&small(kind, 2000, 16)).unwrap();
         let mut transported = |settings: &serde_json::Value| {
             let plan = kind.first_tasks(scene, settings).unwrap();
             let mut ran = Vec::new();

@@ -2,15 +2,21 @@
 
 use std::collections::BTreeMap;
 
-use lightkiln_proto::kinds::Kinds;
-use serde_json::json;
-
 use super::super::*;
+use super::small;
+use lightkiln_proto::kinds::Kinds;
 
 const CORNELL: &[u8] = include_bytes!("../../../../tests/scenes/cornell.glb");
 /// Tasks that end within moments whatever the scene: they copy what is there.
-const BRIEF: [&str; 6] =
-    ["scene.frame", "scene.draw", "prt.plan", "prt.assemble", "sh.assemble", "scene.import"];
+const BRIEF: [&str; 7] = [
+    "scene.frame",
+    "scene.draw",
+    "prt.plan",
+    "prt.assemble",
+    "sh.assemble",
+    "captured.assemble",
+    "scene.import",
+];
 /// Most rays between two looks: a few milliseconds.
 const RAYS_MAX: u64 = 20_000;
 
@@ -22,7 +28,6 @@ struct Ready {
 
 #[test]
 fn every_task_looks_for_a_cancel_between_any_few_rays_and_ends_at_once() {
-    let settings = json!({ "preset": "draft", "receivers_target": 6000, "transport_rays": 64 });
     let runner = Runner::new(&BakeKinds::new());
     let mut looked = 0;
     for kind in Kinds::new().iter() {
@@ -30,7 +35,7 @@ fn every_task_looks_for_a_cancel_between_any_few_rays_and_ends_at_once() {
         let mut run = LocalRun::new(1 << 30, &progress);
         let scene = run.shelf.put(CORNELL.to_vec());
         let mut ready: BTreeMap<String, Ready> = BTreeMap::new();
-        let mut plan = kind.first_tasks(scene, &settings).unwrap();
+        let mut plan = kind.first_tasks(scene, &small(kind, 6000, 64)).unwrap();
         // Kind by kind, so that the inputs of the first task of each are at hand.
         while let Some(next) = plan.iter().position(|task| run.is_ready(task)) {
             let task = plan.remove(next);
