@@ -80,7 +80,7 @@ fn plans_name_all_that_they_plan_in_their_keys() {
         assert!(!planned.is_empty());
         let named = plan.params["plans"].as_object().unwrap();
         let named: BTreeSet<String> = named.keys().cloned().collect();
-        // What a plan does as tasks of other kinds do is named as well.
+        // Tasks of other kinds whose work a plan does itself are named as well.
         assert!(named.is_superset(&planned), "{}: {named:?}, not {planned:?}", kind.name());
     }
 }
