@@ -27,6 +27,7 @@ use crate::picture::{Exposure, Picture, Tone};
 use crate::raster::camera_clip_from_world;
 use crate::scene::{LoadedScene, Stance, bounds_of, check_stances};
 
+pub use crate::passes::fog::Fog;
 pub use debug::debug_picture;
 pub use edges::probe_edges;
 #[cfg(test)]
@@ -75,6 +76,8 @@ pub struct View {
     pub emitter_scale: Vec<f32>,
     /// Stances of the scene's objects, in their order; those without one are at rest.
     pub objects: Vec<Stance>,
+    /// A medium between surfaces.
+    pub fog: Option<Fog>,
     /// Tone mapping.
     pub tone: Tone,
     /// Exposure.
@@ -128,6 +131,7 @@ impl View {
             panorama: None,
             emitter_scale: Vec::new(),
             objects: Vec::new(),
+            fog: None,
             tone: Tone::default(),
             exposure: Exposure::default(),
             samples: 4,
@@ -171,6 +175,7 @@ impl View {
             );
         }
         self.lod.as_ref().map_or(Ok(()), check_lod)?;
+        self.fog.as_ref().map_or(Ok(()), Fog::check)?;
         check_scale(&self.emitter_scale)?;
         check_stances(scene, &self.objects)?;
         camera_clip_from_world(&self.camera, self.size(), scene.manifest.bounds_m)?;

@@ -153,6 +153,12 @@ pub trait Light: Debug + Send + Sync {
     /// The shading function in WGSL.
     fn shading(&self) -> Shading;
 
+    /// WGSL of `fn mean_radiance(point: vec3f) -> vec3f`, which a medium scatters, with the bindings of shading in group 1 from 1; `None`
+    /// for a kind without probes.
+    fn medium(&self) -> Option<&'static str> {
+        None
+    }
+
     /// Work before shading on the processor: bounces until they converge.
     fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a>;
 

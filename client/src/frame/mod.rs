@@ -8,6 +8,7 @@
 //! set_objects ──▶ shadow maps ─▶ direct ─▶
 //! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
 //! set_lod ──────▶ detail of clusters ────▶
+//! set_fog ───────────────────────────────────────────────────────────────▶ draw
 //! set_overlay ──▶ colours instead of light ──────────────────────────────▶ draw
 //! ```
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
@@ -15,6 +16,7 @@
 
 mod bake;
 mod bounces;
+mod fog;
 mod held;
 mod lod;
 mod objects;
@@ -34,6 +36,7 @@ use crate::bake::{
 use crate::error::Result;
 use crate::lights::{Caster, Panorama, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
+use crate::passes::fog::{Fog, FogPass};
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::shade::{ShadePass, ShadeView};
@@ -71,6 +74,8 @@ pub struct Frame<'a> {
     overlay: Option<(Overlay, Vec<Vec4>)>,
     errors: Option<MeasuredErrors>,
     has_paint: bool,
+    fog: Option<Fog>,
+    fog_pass: Option<FogPass>,
     lod: Option<Lod>,
     has_lod: bool,
     lod_plan: Option<LodPlan>,
@@ -154,6 +159,8 @@ impl<'a> Frame<'a> {
             overlay: None,
             errors: None,
             has_paint: false,
+            fog: None,
+            fog_pass: None,
             lod: None,
             has_lod: false,
             lod_plan: None,
@@ -308,6 +315,8 @@ impl<'a> Frame<'a> {
             light.prepare_view(gpu, encoder, &view);
         });
         self.shade.draw((gpu, &mut self.watch), &self.meshes, &self.shadow, &view);
+        self.draw_fog()?;
+        let gpu = &*self.gpu;
         gpu.poll(false)?;
         self.watch.hear(gpu)
     }
@@ -318,6 +327,7 @@ impl<'a> Frame<'a> {
         if room != self.room {
             self.shade.resize(&self.gpu, size)?;
             self.room = room;
+            self.make_fog_anew()?;
             self.plan_lod();
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → lod → change → atlas → shade;
+//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → lod → change → atlas → shade → fog;
 //! for a window also meter → show.
 //!
 //! Each pass is a folder: the shader, its caller, and `reference.rs`, which does the same on the processor over the same
@@ -9,6 +9,7 @@ pub mod basis;
 pub mod change;
 pub mod compare;
 pub mod direct;
+pub mod fog;
 pub mod gpu;
 pub mod landings;
 pub mod lod;

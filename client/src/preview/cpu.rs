@@ -1,7 +1,9 @@
 //! The whole frame on the processor, by the passes' references.
 
 use super::{Prepared, jitters};
-use crate::error::Result;
+use crate::error::{ClientError, Result};
+use crate::passes::fog::FogNumbers;
+use crate::passes::fog::reference::Froxels;
 use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::{Lit, shade};
 use crate::passes::shadow::reference::draw;
@@ -14,13 +16,20 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
     let scene: &LoadedScene = scene;
     let maps = draw(scene, plan);
     let mut settled = bake.light.settle(&prepared.lit(&maps), view.limit);
+    let fog = view.fog.map(|fog| {
+        let steady = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, [0.0; 2])?;
+        let numbers = FogNumbers::new(&fog, &view.camera, &steady, view.size(), *bounds_m);
+        let mean_radiance = |point| settled.indirect.mean_radiance(point);
+        Ok::<_, ClientError>(Froxels::new(numbers, (plan, &maps), &mean_radiance))
+    });
+    let fog = fog.transpose()?;
     let mut film: Option<Film> = None;
     for jitter in jitters(view.samples) {
         let shade_view = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, jitter)?;
         settled.indirect.prepare_view(&shade_view, view.size());
         let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
         let panorama = view.panorama.as_deref();
-        let lit = Lit { scene, plan, maps: &maps, indirect, panorama, emitter_scale };
+        let lit = Lit { scene, plan, maps: &maps, indirect, panorama, emitter_scale, fog: fog.as_ref() };
         let radiance = shade(lit, &shade_view, view.size());
         film.get_or_insert_with(|| Film::new(view.size(), view.tone, exposure, &radiance)).add(&radiance);
     }

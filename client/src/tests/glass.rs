@@ -86,8 +86,15 @@ fn middle(draws: &[Draw], sky: Sky) -> Vec4 {
     };
     let plan = ShadowPlan::new(&[], BOUNDS_M, 64, None).unwrap();
     let maps = ShadowMaps { side: 64, ..ShadowMaps::default() };
-    let lit =
-        Lit { scene: &scene, plan: &plan, maps: &maps, indirect: &Even, panorama: None, emitter_scale: &[] };
+    let lit = Lit {
+        scene: &scene,
+        plan: &plan,
+        maps: &maps,
+        indirect: &Even,
+        panorama: None,
+        emitter_scale: &[],
+        fog: None,
+    };
     let view = ShadeView::new(&camera, [32, 24], BOUNDS_M, sky, [0.0; 2]).unwrap();
     shade(lit, &view, [32, 24])[12 * 32 + 16]
 }

@@ -6,6 +6,7 @@ mod detail;
 pub(crate) mod facing;
 mod factors;
 mod field;
+mod fog;
 mod formula;
 mod glass;
 mod light;

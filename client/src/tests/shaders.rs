@@ -15,6 +15,7 @@ use crate::passes::atlas::{AtlasNumbers, AtlasTexel, Placement};
 use crate::passes::basis::BasisNumbers;
 use crate::passes::change::ChangeNumbers;
 use crate::passes::direct::TexelNumbers;
+use crate::passes::fog::{self, FogNumbers};
 use crate::passes::lod::{FillNumbers, TurnNumbers};
 use crate::passes::meter::MeterNumbers;
 use crate::passes::near::NearNumbers;
@@ -36,8 +37,15 @@ fn shaders() -> Vec<(&'static str, String)> {
         ("shade with a lattice alone", with(field::LATTICE_ALONE)),
         ("shade with tetrahedra alone", with(field::TETRAHEDRA_ALONE)),
     ];
-    let others = [("relight", relight::SHADER), ("dering", field::DERING_SHADER)];
-    of_browsers.chain(others.map(|(name, source)| (name, source.to_owned()))).chain(fields).collect()
+    let others =
+        [("relight", relight::SHADER), ("dering", field::DERING_SHADER), ("fog-over", fog::OVER_SHADER)];
+    let fogs = [fog::NO_RADIANCE, field::LATTICE_MEDIUM, field::TETRAHEDRA_MEDIUM];
+    let fogs = fogs.map(|radiance| ("fog", [fog::FILL_SHADER, radiance].concat()));
+    of_browsers
+        .chain(others.map(|(name, source)| (name, source.to_owned())))
+        .chain(fields)
+        .chain(fogs)
+        .collect()
 }
 
 fn parsed(source: &str) -> naga::Module {
@@ -143,6 +151,9 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "LatticeField": LatticeNumbers { low, size, spacing_m, first_probe, probe_count, pad }
         "TetrahedraField": TetrahedraNumbers { low_m, high_m, cells, cell_m, spacing_m, first_probe, probe_count }
         "Fill": FillNumbers { count, stride, level }
+        "Fog": FogNumbers {
+            size, picture, eye, eye_per_x, eye_per_y, ray, ray_per_x, ray_per_y, by_depth
+        }
         "Light": Light {
             position, range_m, direction, shape, strength, first_face, cone_cos_inner, cone_cos_outer, face_count,
             half_extent, first_cascade, cascades, half_size_m, cells, pad

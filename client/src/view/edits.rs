@@ -9,6 +9,7 @@ use lightkiln_proto::words::{camera_to_text, light_to_text, lod_to_text, panoram
 
 use crate::bake::Overlay;
 use crate::lights::{Panorama, quoted};
+use crate::passes::fog::Fog;
 use crate::picture::{Exposure, Tone};
 use crate::preview::View;
 use crate::scene::{LoadedScene, Recolour, Stance};
@@ -29,6 +30,8 @@ pub struct Edits {
     pub colours: Vec<Colour>,
     /// Objects beside the bake.
     pub objects: Vec<PlacedObject>,
+    /// A medium between surfaces.
+    pub fog: Option<Fog>,
     /// Exposure.
     pub exposure: Exposure,
     /// Curve.
@@ -97,7 +100,8 @@ impl Edits {
         let objects = objects.collect();
         let (lights, exposure, tone) = (view.lights.clone(), view.exposure, view.tone);
         let panorama = view.panorama.clone();
-        Self { lights, panorama, emitters, colours, objects, exposure, tone, overlay: None, lod: view.lod }
+        let (fog, lod) = (view.fog, view.lod);
+        Self { lights, panorama, emitters, colours, objects, fog, exposure, tone, overlay: None, lod }
     }
 
     /// Where objects stand.
@@ -170,6 +174,9 @@ impl Edits {
         }
         for PlacedObject { name, stance, .. } in &self.objects {
             option("object", format!("{name} {}", stance_to_text(stance)).trim_end());
+        }
+        if let Some(fog) = self.fog {
+            option("fog", &fog.to_string());
         }
         match self.exposure {
             Exposure::Auto { stops: 0.0 } => {}

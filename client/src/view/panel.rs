@@ -12,6 +12,7 @@ use super::edits::Edits;
 use super::handles::Part;
 use super::viewer::Viewer;
 use crate::bake::{FULL_COLOUR, Overlay};
+use crate::passes::fog::Fog;
 use crate::picture::{Exposure, Tone};
 use crate::scene::Stance;
 use crate::stream::{Baked, Streamed};
@@ -20,6 +21,8 @@ use crate::stream::{Baked, Streamed};
 const HANDLE: f32 = 7.0;
 /// Stops of exposure either way.
 const STOPS: RangeInclusive<f32> = -16.0..=16.0;
+/// Densest medium that is set here, per metre.
+const FOG_MAX: f32 = 10.0;
 /// Farthest turn of a panorama that is set here.
 const TURN_MAX_DEG: f32 = 360.0;
 /// Largest strength that is set here.
@@ -113,6 +116,7 @@ fn contents(ui: &mut Ui, viewer: &mut Viewer, facts: &Facts) -> Wishes {
     if viewer.edits.panorama.is_some() {
         section(ui, "Sky", false, |ui| panorama(ui, &mut viewer.edits));
     }
+    section(ui, "Fog", false, |ui| fog(ui, &mut viewer.edits));
     section(ui, "Exposure", false, |ui| exposure(ui, viewer));
     let emitters = viewer.bake().scene.manifest.emitters.iter().map(|emitter| emitter.name.clone());
     let emitters: Vec<String> = emitters.collect();
@@ -257,6 +261,15 @@ fn panorama(ui: &mut Ui, edits: &mut Edits) {
             edits.panorama = Some(Arc::new(changed));
         }
     }
+}
+
+/// The medium between surfaces: none at a density of 0.
+fn fog(ui: &mut Ui, edits: &mut Edits) {
+    let mut fog = edits.fog.unwrap_or(Fog { per_m: 0.0, ..Fog::default() });
+    slider(ui, &mut fog.per_m, 0.0..=FOG_MAX, |slider| slider.logarithmic(true).text("stopped per metre"));
+    slider(ui, &mut fog.albedo, 0.0..=1.0, |slider| slider.text("scattered"));
+    slider(ui, &mut fog.g, -0.9..=0.9, |slider| slider.text("forwards"));
+    edits.fog = (fog.per_m > 0.0).then_some(fog);
 }
 
 fn materials(ui: &mut Ui, edits: &mut Edits) {

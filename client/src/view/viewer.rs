@@ -89,6 +89,7 @@ impl Viewer {
         frame.set_lights(&edits.lights)?;
         frame.set_sky(edits.panorama.as_ref())?;
         frame.set_emitters(&edits.emitters)?;
+        frame.set_fog(edits.fog)?;
         frame.set_materials(&edits.recolours())?;
         frame.set_objects(&edits.stances())?;
         frame.set_lod(edits.lod)?;
@@ -152,7 +153,7 @@ impl Viewer {
     /// The view that is shown, as headless pictures take it.
     pub fn view(&self) -> View {
         let objects = self.applied.stances();
-        let Edits { lights, panorama, emitters, exposure, tone, lod, .. } = self.applied.clone();
+        let Edits { lights, panorama, emitters, fog, exposure, tone, lod, .. } = self.applied.clone();
         let camera = self.frame.camera().clone();
         let [width, height] = self.size;
         let emitter_scale = emitters;
@@ -164,6 +165,7 @@ impl Viewer {
             panorama,
             emitter_scale,
             objects,
+            fog,
             exposure,
             tone,
             lod,
@@ -331,6 +333,12 @@ impl Viewer {
             let set = self.frame.set_emitters(&self.edits.emitters);
             if self.refused(set)? {
                 self.edits.emitters.clone_from(&self.applied.emitters);
+            }
+        }
+        if self.edits.fog != self.applied.fog {
+            let set = self.frame.set_fog(self.edits.fog);
+            if self.refused(set)? {
+                self.edits.fog = self.applied.fog;
             }
         }
         if self.edits.colours != self.applied.colours {

@@ -1,5 +1,7 @@
 //! A picture of a bake, as the command line asks for it.
 
+mod words;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -9,7 +11,9 @@ use lightkiln_client::bake::{ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
-use lightkiln_client::preview::{Backend, StreamedBake, View, ViewPath, debug_picture, render, render_path};
+use lightkiln_client::preview::{
+    Backend, Fog, StreamedBake, View, ViewPath, debug_picture, render, render_path,
+};
 use lightkiln_client::scene::{Object, Recolour, check_recolours};
 use lightkiln_client::stream::{Budget, Streamed};
 #[cfg(feature = "view")]
@@ -17,12 +21,14 @@ use lightkiln_client::view::Subject;
 #[cfg(feature = "view")]
 use lightkiln_proto::manifest::OVERVIEW;
 use lightkiln_proto::relight::{LevelCount, Lod};
-use lightkiln_proto::words::lod_from_text;
 
 use crate::console::say;
 use crate::failure::{Failure, Result};
 use crate::lighting::LightArguments;
 use crate::reel::{Drawn, PassRow, Reel, numbered, parse_bytes, worded_part};
+
+use words::{parse_fog, parse_lod, parse_stops};
+pub use words::{parse_recolour, parse_size};
 
 /// The picture to draw, and how it looks.
 #[derive(Args, Clone, Debug)]
@@ -43,6 +49,11 @@ pub struct LookArguments {
     /// given often. All light follows, and nothing is baked again
     #[arg(long, value_name = "MATERIAL", value_parser = parse_recolour, help_heading = "Picture")]
     material: Vec<Recolour>,
+    /// Fog between surfaces, e.g. "density=0.05 albedo=0.9 g=0.3 height=2": share of light that it stops per metre, share of it that it scatters,
+    /// mean cosine by which it turns light, metres of height over which it thins by a factor of e. It shows the shafts of lights, and the
+    /// light of probes where the bake has some; surfaces are lit as without it
+    #[arg(long, value_name = "FOG", value_parser = parse_fog, help_heading = "Picture")]
+    fog: Option<Fog>,
     /// Levels of detail by distance and view, for bakes of many receivers: "fine", "balanced", "coarse", or words, as
     /// "balanced level1=0.2,3,16,1,2 behind=8": where a level begins (in scene diagonals, or metres as 20m), tree level of its columns, rank,
     /// level of its receivers (0 all, 1 a quarter, …), bounces from one update to the next [default: all detail]
@@ -148,6 +159,13 @@ impl LookArguments {
         (view.width, view.height) = self.size;
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
+        view.fog = self.fog;
+        if view.fog.is_some() && bake.light.medium().is_none() {
+            notes.push(format!(
+                "bakes of kind {} have no probes: fog shows light of lamps alone, none of skies and surfaces",
+                bake.scene.manifest.kind
+            ));
+        }
         view.lod = self.lod;
         view.adapter_bytes_max = self.adapter_memory;
         notes.extend(self.lod.iter().flat_map(|lod| lod.notes(bake.scene.diagonal_m())));
@@ -418,78 +436,6 @@ impl From<BackendName> for Backend {
             BackendName::Auto => Self::Auto,
             BackendName::Gpu => Self::Gpu,
             BackendName::Cpu => Self::Cpu,
-        }
-    }
-}
-
-/// Stops of exposure, −32..=32: a factor of 4·10⁹ either way.
-fn parse_stops(text: &str) -> std::result::Result<f32, String> {
-    match text.parse() {
-        Ok(stops @ -32.0..=32.0) => Ok(stops),
-        _ => Err("write a number of stops in -32..=32, e.g. -1.5".to_owned()),
-    }
-}
-
-/// Levels of detail as words.
-fn parse_lod(text: &str) -> std::result::Result<Lod, String> {
-    lod_from_text(text).map_err(|error| error.to_string())
-}
-
-/// A colour of a material as `NAME=r,g,b`; the name may hold '='.
-pub fn parse_recolour(text: &str) -> std::result::Result<Recolour, String> {
-    let wrong = || "write the material's name and a linear colour, e.g. \"plaster=0.6,0.5,0.4\"".to_owned();
-    let (name, colour) = text.rsplit_once('=').ok_or_else(wrong)?;
-    let channels: Vec<f32> = colour
-        .split(',')
-        .map(|channel| channel.trim().parse())
-        .collect::<std::result::Result<_, _>>()
-        .map_err(|_| wrong())?;
-    let base_colour = <[f32; 3]>::try_from(channels).map_err(|_| wrong())?;
-    if !base_colour.iter().all(|channel| (0.0..=1.0).contains(channel)) {
-        return Err("each channel of a colour is a number from 0 to 1".to_owned());
-    }
-    Ok(Recolour { material: name.to_owned(), base_colour })
-}
-
-/// A size as `WIDTHxHEIGHT`, each 1..=16384 pixels.
-pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
-    let wrong = || "write width x height in pixels, e.g. 1280x720".to_owned();
-    let (width, height) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
-    match (width.parse(), height.parse()) {
-        (Ok(width @ 1..=16_384), Ok(height @ 1..=16_384)) => Ok((width, height)),
-        (Ok(_), Ok(_)) => Err("each side is 1..=16384 pixels".to_owned()),
-        _ => Err(wrong()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn colours_of_materials_are_a_name_and_three_channels() {
-        let wall = Recolour { material: "wall=red".to_owned(), base_colour: [0.5, 0.25, 1.0] };
-        assert_eq!(parse_recolour("wall=red=0.5, 0.25,1"), Ok(wall));
-        for wrong in
-            ["wall", "wall=", "wall=1,2", "wall=1,1,1,1", "wall=a,b,c", "wall=1.5,0,0", "wall=nan,0,0"]
-        {
-            assert!(parse_recolour(wrong).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn exposure_is_a_finite_number_of_stops() {
-        assert_eq!(parse_stops("-1.5"), Ok(-1.5));
-        for wrong in ["inf", "nan", "-33", "bright", ""] {
-            assert!(parse_stops(wrong).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn size_is_width_by_height_within_bounds() {
-        assert_eq!(parse_size("640x480"), Ok((640, 480)));
-        for wrong in ["640", "640x", "0x480", "640x99999", "axb", "640*480"] {
-            assert!(parse_size(wrong).is_err(), "{wrong}");
         }
     }
 }

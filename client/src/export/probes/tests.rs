@@ -201,6 +201,55 @@ fn maps_of_irradiance_are_the_fields_and_have_no_seams() {
     }
 }
 
+/// The same read of the tile's inside alone: of texels beyond the square, those that lie there on the octahedron.
+fn seamless(texels: &Texels, side: usize, [x, y, layer]: [usize; 3], at: Vec2) -> Vec4 {
+    let inside = side - 2;
+    let on = (at + 1.0) * 0.5 * inside as f32 + 0.5;
+    let (low, share) = (on.floor(), on - on.floor());
+    let texel = |dx: f32, dy: f32| {
+        let mut place = (2.0 * (low + Vec2::new(dx, dy)) - 1.0) / inside as f32 - 1.0;
+        if place.x.abs() > 1.0 {
+            place = Vec2::new(2.0 * place.x.signum() - place.x, -place.y);
+        }
+        if place.y.abs() > 1.0 {
+            place = Vec2::new(-place.x, 2.0 * place.y.signum() - place.y);
+        }
+        let [column, row] = ((place + 1.0) * 0.5 * inside as f32).to_array().map(|at| at as usize + 1);
+        texels.at([x * side + column, y * side + row, layer])
+    };
+    let upper = texel(0.0, 0.0).lerp(texel(1.0, 0.0), share.x);
+    upper.lerp(texel(0.0, 1.0).lerp(texel(1.0, 1.0), share.x), share.y)
+}
+
+#[test]
+fn a_million_directions_are_read_as_without_edges() {
+    let case = Case::new();
+    for (file, side) in [(ddgi::IRRADIANCE_FILE, IRRADIANCE_SIDE), (ddgi::DISTANCE_FILE, DISTANCE_SIDE)] {
+        let texels = Texels::of(&case.files, file);
+        let count = 1 << 20;
+        let (mut worst, mut without_border, mut over_edges) = (0.0_f32, 0.0_f32, 0);
+        for direction in (0..count).map(|index| relight_direction(index, count)) {
+            let at = place_of(direction);
+            let wanted = seamless(&texels, side, [1, 1, 1], at);
+            let error = |at: Vec2| {
+                let read = bilinear(&texels, side, [1, 1, 1], at);
+                (read - wanted).abs().max_element() / wanted.abs().max_element().max(1e-6)
+            };
+            worst = worst.max(error(at));
+            // A tile without a border ends at the middles of its outermost texels.
+            let end = 1.0 - 1.0 / (side - 2) as f32;
+            let clamped = at.clamp(Vec2::splat(-end), Vec2::splat(end));
+            over_edges += u32::from(clamped != at);
+            without_border = without_border.max(error(clamped));
+        }
+        assert!(worst < 1e-5, "{file}: {worst}");
+        assert!(
+            over_edges > count / 20 && without_border > 100.0 * 1e-5,
+            "{file}: {over_edges}, {without_border}"
+        );
+    }
+}
+
 #[test]
 fn borders_hold_what_lies_across_the_edge() {
     for side in [IRRADIANCE_SIDE, DISTANCE_SIDE] {

@@ -9,7 +9,7 @@ use crate::bake::{
     FreeSpace, Light, LightPasses, LitScene, ReceiverBuffers, ReceiverLight, SettledLight, SettledReceivers,
 };
 use crate::error::Result;
-use crate::kinds::field::{LATTICE_ALONE, TETRAHEDRA_ALONE, numbers, words};
+use crate::kinds::field::{LATTICE_ALONE, TETRAHEDRA_ALONE, medium, numbers, words};
 use crate::passes::gpu::{Gpu, storage_read, uniform};
 use crate::passes::shade::{IndirectIrradiance, Shading, Surface};
 use crate::passes::shadow::ShadowPass;
@@ -44,6 +44,10 @@ impl IndirectIrradiance for Shown<'_> {
         let CapturedLight { field, rows } = self.0;
         field.irradiance(rows, field.raised(surface.position, surface.facet), surface.normal)
     }
+
+    fn mean_radiance(&self, point: Vec3) -> Vec3 {
+        self.0.field.mean_radiance(&self.0.rows, point)
+    }
 }
 
 impl Light for CapturedLight {
@@ -55,6 +59,10 @@ impl Light for CapturedLight {
             Between::Tetrahedra(_) => TETRAHEDRA_ALONE,
         };
         Shading { snippet, bindings }
+    }
+
+    fn medium(&self) -> Option<&'static str> {
+        Some(medium(&self.field))
     }
 
     fn settle<'a>(&'a self, _: &LitScene<'a>, _: Limit) -> SettledLight<'a> {

@@ -27,8 +27,11 @@ impl ClientKind for Captured {
         let manifest = &scene.manifest;
         let parts = decoded(source, manifest, FIELD, |bytes| Ok(decode_field(bytes)?))?;
         let tetrahedra = decoded(source, manifest, TETRAHEDRA, |bytes| Ok(decode_tetrahedra(bytes)?))?;
-        let field = captured::joined(&parts, tetrahedra.first())
+        let field = captured::joined(&manifest.body()?, &parts, tetrahedra.first())
             .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
         Ok(Box::new(CapturedLight::new(field)))
     }
 }
+
+#[cfg(test)]
+mod tests;

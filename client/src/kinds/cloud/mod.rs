@@ -4,7 +4,7 @@ use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::kinds::cloud::{self, TETRAHEDRA};
 use lightkiln_proto::kinds::field::{FIELD, TetrahedronSet, decode_field, decode_tetrahedra};
 
-use super::{field, prt};
+use super::field;
 use crate::bake::{ClientKind, Light};
 use crate::error::Result;
 use crate::fetch::{Source, decoded};
@@ -24,6 +24,6 @@ impl ClientKind for Cloud {
         let sets = decoded(source, &scene.manifest, TETRAHEDRA, |bytes| Ok(decode_tetrahedra(bytes)?))?;
         let none = TetrahedronSet::default();
         let tetrahedra = Some(sets.first().unwrap_or(&none));
-        Ok(Box::new(field::assemble(scene, prt::load(source, scene)?, &parts, tetrahedra)?))
+        Ok(Box::new(field::load(source, scene, &parts, tetrahedra)?))
     }
 }

@@ -108,10 +108,14 @@ fn with_probe(
 }
 
 fn field_irradiance(point: vec3f, normal: vec3f) -> vec3f {
+    return field_sum(point, harmonics(normal));
+}
+
+// Coefficients of the light at a point, each by a factor, and summed.
+fn field_sum(point: vec3f, of_normal: array<f32, 9>) -> vec3f {
     if field.probe_count == 0u || is_nowhere(point) {
         return vec3f(0.0);
     }
-    let of_normal = harmonics(normal);
     var sum = from_probes(point, of_normal, false, BY_DEPTH, 0.0);
     if sum.w < WEIGHT_MIN {
         sum = from_probes(point, of_normal, true, BY_DEPTH, 0.0);

@@ -6,7 +6,7 @@ use lightkiln_proto::relight::{
     Columns, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, PatchTable, Settled,
 };
 
-use super::passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA};
+use super::passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA, medium};
 use crate::bake::{
     self, DebugPage, FreeSpace, IncomingDirect, Lattice, Light, LightPasses, LitScene, Overlay, SettledLight,
     SettledReceivers, Tetrahedra, Unshadowed, UnshadowedArrays,
@@ -49,6 +49,10 @@ impl IndirectIrradiance for Shown<'_> {
         } else {
             read(self.scene, &self.pages, surface)
         }
+    }
+
+    fn mean_radiance(&self, point: Vec3) -> Vec3 {
+        self.field.mean_radiance(&self.rows, point)
     }
 }
 
@@ -105,6 +109,10 @@ impl Light for FieldLight {
             Between::Tetrahedra(_) => IN_TETRAHEDRA,
         };
         Shading { snippet, bindings }
+    }
+
+    fn medium(&self) -> Option<&'static str> {
+        Some(medium(&self.field))
     }
 
     fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {

@@ -39,6 +39,12 @@ pub const LATTICE_ALONE: &str =
 /// Likewise one in tetrahedra.
 pub const TETRAHEDRA_ALONE: &str =
     concat!(include_str!("tetrahedra.wgsl"), include_str!("field.wgsl"), include_str!("alone.wgsl"));
+/// Mean radiance for a medium, between probes on a lattice.
+pub const LATTICE_MEDIUM: &str =
+    concat!(include_str!("lattice.wgsl"), include_str!("field.wgsl"), include_str!("medium.wgsl"));
+/// Likewise in tetrahedra.
+pub const TETRAHEDRA_MEDIUM: &str =
+    concat!(include_str!("tetrahedra.wgsl"), include_str!("field.wgsl"), include_str!("medium.wgsl"));
 /// Largest difference of E from the reference, relative to the largest value: sums of some hundred f32 in another order, and depths
 /// that say by a hair whether a probe sees a point.
 pub const TOLERANCE: f32 = 1e-3;
@@ -123,6 +129,14 @@ impl FieldPasses {
             rows,
             row_count: PROBE_ROWS * field.len(),
         })
+    }
+}
+
+/// Mean radiance of a field for a medium.
+pub fn medium(field: &FieldTable) -> &'static str {
+    match field.between {
+        Between::Lattice(_) => LATTICE_MEDIUM,
+        Between::Tetrahedra(_) => TETRAHEDRA_MEDIUM,
     }
 }
 

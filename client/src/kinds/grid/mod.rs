@@ -3,7 +3,7 @@
 use lightkiln_proto::kinds::field::{FIELD, decode_field};
 use lightkiln_proto::kinds::{Kind, grid};
 
-use super::{field, prt};
+use super::field;
 use crate::bake::{ClientKind, Light};
 use crate::error::Result;
 use crate::fetch::{Source, decoded};
@@ -20,6 +20,6 @@ impl ClientKind for Grid {
 
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>> {
         let parts = decoded(source, &scene.manifest, FIELD, |bytes| Ok(decode_field(bytes)?))?;
-        Ok(Box::new(field::assemble(scene, prt::load(source, scene)?, &parts, None)?))
+        Ok(Box::new(field::load(source, scene, &parts, None)?))
     }
 }

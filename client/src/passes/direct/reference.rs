@@ -103,6 +103,23 @@ pub fn seen_irradiance(
     plan.lights.iter().map(of_light).sum()
 }
 
+/// Irradiance of a light on a plane that faces it at a point in free space, seen by the eye, in W·m⁻².
+pub fn arriving(
+    (plan, maps): (&ShadowPlan, &ShadowMaps),
+    light: &Light,
+    position: Vec3,
+    towards: Vec3,
+) -> Vec3 {
+    if light.shape == Shape::Rect as u32 {
+        return rect_irradiance((plan, maps), light, [position; 2], towards, towards).truncate();
+    }
+    let free = unshadowed(light, position, towards);
+    if free.max_element() <= 0.0 {
+        return Vec3::ZERO;
+    }
+    free * share_seen((plan, maps), light, position, towards)
+}
+
 /// Direct light of a point, and what its shadows are judged by.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shadowed {

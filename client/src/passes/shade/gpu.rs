@@ -189,6 +189,11 @@ impl ShadePass {
         &self.target_view
     }
 
+    /// Depths of the sample drawn last, reversed: 0 where no surface is.
+    pub fn depth(&self) -> &wgpu::TextureView {
+        &self.depth
+    }
+
     /// Draws one sample per pixel.
     pub fn draw(
         &self,
@@ -328,7 +333,7 @@ fn create_targets(gpu: &Gpu, size: [u32; 2]) -> Result<(wgpu::Texture, wgpu::Tex
     };
     let read = wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::TEXTURE_BINDING;
     let target = create("picture", wgpu::TextureFormat::Rgba32Float, read)?;
-    let depth = create("depth", wgpu::TextureFormat::Depth32Float, wgpu::TextureUsages::empty())?;
+    let depth = create("depth", wgpu::TextureFormat::Depth32Float, wgpu::TextureUsages::TEXTURE_BINDING)?;
     Ok((target, depth.create_view(&wgpu::TextureViewDescriptor::default())))
 }
 

@@ -14,6 +14,13 @@ pub trait IndirectIrradiance: Sync {
 
     /// Irradiance at a surface that did not come straight from a light, W·m⁻².
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3;
+
+    /// Mean radiance over all directions at a point in free space, but for what comes straight from a light, in W·m⁻²·sr⁻¹: a medium
+    /// scatters it. None of a kind without probes.
+    fn mean_radiance(&self, point: Vec3) -> Vec3 {
+        let _ = point;
+        Vec3::ZERO
+    }
 }
 
 /// Indirect light on the adapter.

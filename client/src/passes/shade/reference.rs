@@ -11,6 +11,7 @@ use super::surface::surface_at;
 use super::{IndirectIrradiance, ShadeView};
 use crate::lights::Panorama;
 use crate::passes::direct::reference::seen_irradiance;
+use crate::passes::fog::reference::Froxels;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, masked_out};
 use crate::raster::{ScreenTriangle, projected, set_up};
@@ -36,6 +37,8 @@ pub struct Lit<'a> {
     pub panorama: Option<&'a Panorama>,
     /// One factor per emitter, 1 if absent.
     pub emitter_scale: &'a [f32],
+    /// A medium between surfaces.
+    pub fog: Option<&'a Froxels>,
 }
 
 /// A triangle on the screen and its draw.
@@ -63,6 +66,11 @@ pub fn shade(lit: Lit<'_>, view: &ShadeView, size: [u32; 2]) -> Vec<Vec4> {
             };
         }
         blend_over(lit, view, &panes, size[0], rows, &depth, pixels);
+        let Some(fog) = lit.fog else { return };
+        for (index, (pixel, z)) in pixels.iter_mut().zip(depth).enumerate() {
+            let at = [(index % width) as f32 + 0.5, (first as usize + index / width) as f32 + 0.5];
+            *pixel = fog.over(*pixel, at, z);
+        }
     });
     picture
 }

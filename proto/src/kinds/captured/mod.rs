@@ -47,9 +47,15 @@ pub struct Body {
     pub field: field::FieldTotals,
 }
 
-/// The field of decoded parts; tetrahedra where probes stand on no lattice.
-pub fn joined(parts: &[FieldPart], tetrahedra: Option<&TetrahedronSet>) -> Result<FieldTable, Inconsistent> {
-    FieldTable::join(parts, tetrahedra, EMITTERS, &PatchTable::default())
+/// The field of a manifest's decoded parts; tetrahedra where probes stand on no lattice.
+pub fn joined(
+    body: &Body,
+    parts: &[FieldPart],
+    tetrahedra: Option<&TetrahedronSet>,
+) -> Result<FieldTable, Inconsistent> {
+    let field = FieldTable::join(parts, tetrahedra, EMITTERS, &PatchTable::default())?;
+    body.field.check(&field)?;
+    Ok(field)
 }
 
 /// Coefficients at its probes, W·m⁻².
@@ -86,9 +92,20 @@ impl Kind for Captured {
         let body: Body = manifest.body()?;
         all_finite("the probes' spacing", &[body.field.spacing_m])?;
         let contradiction = |problem: String| Err(ManifestError::Contradiction { problem });
+        let settings: Settings = manifest.settings()?;
+        // Before there are probes, there is nothing between them.
+        let wanted = match settings.capture.structure() {
+            Structure::Tetrahedra(_) if body.field.probes > 0 => 1..=1,
+            Structure::Tetrahedra(_) => 0..=1,
+            Structure::Lattice(_) => 0..=0,
+        };
         let sets = manifest.chunks(TETRAHEDRA).len();
-        if sets > 1 {
-            return contradiction(format!("it has {sets} sets of tetrahedra, wanted 1 at most"));
+        if !wanted.contains(&sets) {
+            let structure = settings.capture.field_structure;
+            return contradiction(format!(
+                "it has {sets} sets of tetrahedra, wanted {} for field_structure = {structure}",
+                wanted.end()
+            ));
         }
         if manifest.lightmap.is_some() {
             return contradiction("it has a lightmap, which bakes of its kind have none of".into());
@@ -130,13 +147,14 @@ mod tests {
             emitters: vec![EmitterIrradiance { emitter: 0, irradiance: (0..PROBE_ROWS).map(row).collect() }],
             ..FieldPart::default()
         };
-        let field = joined(std::slice::from_ref(&part), None).unwrap();
+        let body = Body { field: field::FieldTotals { probes: 1, ..Default::default() } };
+        let field = joined(&body, std::slice::from_ref(&part), None).unwrap();
         let found = light(&field, &Serial);
         assert_eq!(found[0].truncate().to_array(), row(0));
         assert_eq!(found[3].truncate().to_array(), row(3));
         // A second emitter is of another kind of bake.
         let second = EmitterIrradiance { emitter: 1, ..part.emitters[0].clone() };
         let other = FieldPart { emitters: vec![second], ..part };
-        assert!(joined(&[other], None).is_err());
+        assert!(joined(&body, &[other], None).is_err());
     }
 }

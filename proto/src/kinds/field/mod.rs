@@ -19,6 +19,7 @@ use serde_json::json;
 
 use super::{Figures, Warning, prt};
 use crate::manifest::{ClusterTotals, Manifest, ManifestError, all_finite};
+use crate::relight::Inconsistent;
 
 pub use chunk::{EncodedField, FIELD as FIELD_CHUNK, PART_PROBES_MAX, ROW, decode_field, encode_field};
 pub use content::{
@@ -65,6 +66,15 @@ pub struct FieldTotals {
 }
 
 impl FieldTotals {
+    /// Checks that the field of a bundle's chunks has as many probes as its manifest says.
+    pub fn check(&self, field: &FieldTable) -> Result<(), Inconsistent> {
+        if field.len() as u64 == self.probes {
+            return Ok(());
+        }
+        let problem = format!("its chunks hold {} probes, the manifest says {}", field.len(), self.probes);
+        Err(Inconsistent::new("field".to_owned(), problem))
+    }
+
     /// For people.
     pub(super) fn words(&self, bytes: u64) -> String {
         let Self { spacing_m, probes, inside, mean_rank, placement: _ } = self;

@@ -1,5 +1,6 @@
 //! The field at run time: which probes are near a point, light at probes from λ, and irradiance at any point and normal.
 
+use std::f32::consts::PI;
 use std::sync::LazyLock;
 
 use glam::{Vec3, Vec4};
@@ -240,6 +241,13 @@ impl FieldTable {
         let coefficients = self.coefficients(rows, point_m);
         let sum: Vec4 = coefficients.iter().zip(harmonics).map(|(row, harmonic)| *row * harmonic).sum();
         sum.truncate().max(Vec3::ZERO)
+    }
+
+    /// Mean radiance over all directions at a point in W·m⁻²·sr⁻¹: irradiance is π times as much in the mean over normals.
+    pub fn mean_radiance(&self, rows: &[Vec4], point_m: Vec3) -> Vec3 {
+        let mut harmonics = [0.0; PROBE_ROWS];
+        BASIS.evaluate(Vec3::Y, &mut harmonics);
+        (self.coefficients(rows, point_m)[0].truncate() * (harmonics[0] / PI)).max(Vec3::ZERO)
     }
 }
 

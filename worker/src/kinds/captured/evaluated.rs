@@ -41,7 +41,7 @@ pub fn evaluated(
         let geometry = Geometry::of(context).map_err(EvaluationError::Prepare)?;
         let lighting = lighting(&geometry).map_err(EvaluationError::Prepare)?;
         let (parts, tetrahedra) = field::parts(manifest, role_of(&settings), bytes)?;
-        let field = captured::joined(&parts, tetrahedra.as_ref())?;
+        let field = captured::joined(&manifest.body()?, &parts, tetrahedra.as_ref())?;
         let rows = captured::light(&field, &Threads);
         let words = "the lights of the scene's file, which the bake has captured".to_owned();
         let light = TestLight { name: "captured".into(), words, lighting };

@@ -5,7 +5,7 @@ use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::field::{
-    FIELD, FieldPart, FieldTable, PROBE_ROWS, TetrahedronSet, decode_field, decode_tetrahedra,
+    Body, FIELD, FieldPart, FieldTable, PROBE_ROWS, TetrahedronSet, decode_field, decode_tetrahedra,
 };
 use lightkiln_proto::kinds::prt::Settings;
 use lightkiln_proto::manifest::Manifest;
@@ -108,6 +108,7 @@ pub fn evaluated(
     let surfaces = prt::evaluated_of(kinds, manifest, first, relightable, bytes, progress)?;
     let (parts, tetrahedra) = parts(manifest, role, bytes)?;
     let field = FieldTable::join(&parts, tetrahedra.as_ref(), manifest.emitters.len(), surfaces.columns())?;
+    manifest.body::<Body>()?.field.check(&field)?;
     Ok(FieldBake { surfaces, field })
 }
 

@@ -10,6 +10,13 @@ const LOOK_RAYS: u32 = 64;
 /// Share of rays that meet backs above which a place is in geometry.
 const BACKS_MAX: f32 = 0.25;
 
+/// Nearest that a surface may be to a place where no probe around it sees it, over the distance between probes.
+const NARROW: f32 = 0.1;
+/// The same in metres, at most: what moves between columns and mouldings is nearer to them than a share of a wide step. No nearer than depth maps
+/// tell, as a share of the step.
+const NARROW_MOST_M: f32 = 0.03;
+const NARROW_LEAST: f32 = 0.03;
+
 /// Freedom of a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
@@ -29,6 +36,11 @@ pub fn is_inside(geometry: &Geometry, at_m: Vec3) -> bool {
 /// A place is free, and no surface is nearer than so much.
 pub fn is_free(geometry: &Geometry, at_m: Vec3, clearance_m: f32) -> bool {
     place(geometry, at_m, clearance_m) == Place::Free
+}
+
+/// Nearest that a surface may be to a place that no probe around it sees, in metres.
+pub fn narrow_clearance_m(spacing_m: f32) -> f32 {
+    (NARROW * spacing_m).min(NARROW_MOST_M.max(NARROW_LEAST * spacing_m))
 }
 
 /// A front is nearer than so much: something there is to be lit.

@@ -33,7 +33,7 @@ pub use fit::{Around, Place as FitPlace, fitted_emitters, places as fit_places, 
 pub use gather::{
     Account, RAYS_OF_PLACE, run as gather, turn as uniform_turn, weights as irradiance_weights,
 };
-pub use looks::{Place, is_free, is_inside, place};
+pub use looks::{Place, is_free, is_inside, narrow_clearance_m, place};
 pub use plan::{FieldPlan, planned};
 pub use readings::{CLASSES, Reading};
 pub use spacing::{lattice, points, spacing_m};

@@ -6,18 +6,11 @@ use lightkiln_proto::kinds::field::{Probe, ProbeKey};
 use rayon::prelude::*;
 
 use crate::geometry::Geometry;
-use crate::kinds::field::{Survey, is_free};
+use crate::kinds::field::{Survey, is_free, narrow_clearance_m};
 use crate::task::{Cancelled, Progress};
 
 /// Steps, from the middle of a cell, at which its space is looked at.
 const STEPS: [i8; 4] = [-3, -1, 1, 3];
-/// Nearest that a surface may be to a place that is looked at, over the lattice's step.
-const CLEARANCE: f32 = 0.1;
-/// The same in metres, at most: what moves between columns and mouldings is nearer to them than a share of a wide step. No nearer than depth maps
-/// tell, as a share of the step.
-const CLEARANCE_MOST_M: f32 = 0.03;
-const CLEARANCE_LEAST: f32 = 0.03;
-
 /// Keys and moves of the probes of the cells between the points of a lattice, ascending.
 pub fn in_cells(
     geometry: &Geometry,
@@ -51,11 +44,6 @@ fn corners(point: IVec3) -> impl Iterator<Item = IVec3> {
     (0..8).map(move |corner| point + IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2))
 }
 
-/// Nearest that a surface may be to a place, in metres.
-fn clearance_m(spacing_m: f32) -> f32 {
-    (CLEARANCE * spacing_m).min(CLEARANCE_MOST_M.max(CLEARANCE_LEAST * spacing_m))
-}
-
 /// Of the places of a cell that no probe sees, the one that sees most of the others; of equal ones the first.
 fn best(
     geometry: &Geometry,
@@ -74,7 +62,7 @@ fn best(
                 let is_within = at_m.cmpge(low_m).all() && at_m.cmple(high_m).all();
                 if is_within
                     && !probes_m.iter().any(|&probe_m| sees(probe_m, at_m))
-                    && is_free(geometry, at_m, clearance_m(spacing_m))
+                    && is_free(geometry, at_m, narrow_clearance_m(spacing_m))
                 {
                     unseen.push((moved, at_m));
                 }

@@ -1,7 +1,7 @@
 //! Even placement: places of free space in the order of their identities, those beside surfaces first, each left out where one before it
 //! is near and sees it.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 use glam::{IVec3, Vec3};
 use lightkiln_proto::kinds::field::ProbeKey;
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::Ground;
 use crate::geometry::Geometry;
-use crate::kinds::field::{Place, Survey, place, points};
+use crate::kinds::field::{Survey, points};
 use crate::rays::sampling::seed_of;
 use crate::task::Cancelled;
 
@@ -52,8 +52,10 @@ pub fn ordered(
         ground.progress.check()?;
         let at_m = ground.position_m(stand.key);
         let reach_m = BESIDE * stand.spacing_m / super::PLACES as f32;
-        // Hashes are of even places, whatever the lattice.
-        let identity = ProbeKey::of(stand.key.point() / ground.stride).unwrap_or(stand.key);
+        // Hashes of even places are the same whatever the lattice.
+        let point = stand.key.point();
+        let is_even = point % ground.stride == IVec3::ZERO;
+        let identity = ProbeKey::of(point / ground.stride).filter(|_| is_even).unwrap_or(stand.key);
         let order = || {
             let is_inner = !is_beside(ground.geometry, at_m, reach_m);
             ((is_inner, seed_of(&[identity.0, 13]), stand.key), stand)
@@ -66,21 +68,23 @@ pub fn ordered(
     Ok(order.into_iter().map(|(_, stand)| stand).collect())
 }
 
-/// Adds probes at places, in their order, that no probe of this call is near and sees; says how many, and takes places away that are not
-/// free.
-pub fn thin(ground: &Ground<'_>, survey: &mut Survey, places: &mut Vec<Stand>) -> Result<usize, Cancelled> {
+/// Adds probes at places where they may stand, in their order, that no probe of this call is near and sees; says how many.
+pub fn thin(
+    ground: &Ground<'_>,
+    survey: &mut Survey,
+    places: &[Stand],
+    mut may_stand: impl FnMut(&Stand, Vec3) -> bool,
+) -> Result<usize, Cancelled> {
     let Ground { geometry, progress, .. } = ground;
     let before = survey.probes.len();
-    let is_first = survey.tessellation.is_none();
     // Probes of this call, by cubes of the distance between them.
     let mut kept: HashMap<IVec3, Vec<Vec3>> = HashMap::new();
-    let mut shut = HashSet::new();
-    for &Stand { key, spacing_m } in &*places {
+    for stand in places {
         progress.check()?;
         progress.advance(1);
-        let at_m = ground.position_m(key);
+        let at_m = ground.position_m(stand.key);
         let cell = (at_m / ground.spacing_m).floor().as_ivec3();
-        let nearest_m = NEAREST * spacing_m;
+        let nearest_m = NEAREST * stand.spacing_m;
         let reach = (nearest_m / ground.spacing_m).ceil() as i32;
         let along = move || -reach..=reach;
         let around =
@@ -90,20 +94,18 @@ pub fn thin(ground: &Ground<'_>, survey: &mut Survey, places: &mut Vec<Stand>) -
         if near.filter(is_near).any(|&other_m| !geometry.tracer.is_occluded(other_m, at_m)) {
             continue;
         }
-        match place(geometry, at_m, CLEARANCE * spacing_m.min(ground.spacing_m)) {
-            Place::Free => {
-                kept.entry(cell).or_default().push(at_m);
-                survey.probes.push((key.0, [0; 3]));
-            }
-            not_free => {
-                survey.inside += u64::from(is_first && not_free == Place::Inside);
-                shut.insert(key);
-            }
+        if may_stand(stand, at_m) {
+            kept.entry(cell).or_default().push(at_m);
+            survey.probes.push((stand.key.0, [0; 3]));
         }
     }
     survey.probes.sort_unstable();
-    places.retain(|stand| !shut.contains(&stand.key));
     Ok(survey.probes.len() - before)
+}
+
+/// Nearest that a surface may be to a place, in metres.
+pub fn clearance_m(ground: &Ground<'_>, stand: &Stand) -> f32 {
+    CLEARANCE * stand.spacing_m.min(ground.spacing_m)
 }
 
 /// A surface is nearer than so much along an axis or a diagonal.

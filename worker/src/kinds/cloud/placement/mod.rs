@@ -22,6 +22,10 @@ use crate::task::{Cancelled, Progress, TaskError};
 const PLACES: i32 = 3;
 /// Steps of the lattice over that of even places where probes stand anywhere: a twelfth of the distance between probes.
 const FINER: i32 = 4;
+/// The same where they stand at even places and at those of narrow space.
+const EVEN: i32 = 2;
+/// Steps between places of narrow space over the distance between probes.
+const NARROW: i32 = 6;
 /// Farthest place from the origin, in steps of the lattice: beyond it, tetrahedra are thinner than 32 bits tell.
 const REACH_MAX: u64 = 1 << 16;
 /// Most even places.
@@ -64,7 +68,7 @@ impl<'a> Ground<'a> {
         let spacing_m = spacing_m(geometry.near_bounds_m(), field);
         let volume = Volume::of(geometry, spacing_m);
         let is_even = cloud.placement() == Placement::Even && cloud.field_leak_edges == 0;
-        let stride = if is_even { 1 } else { FINER };
+        let stride = if is_even { EVEN } else { FINER };
         let place_m = spacing_m / PLACES as f32;
         let (low, size) = lattice(volume.outer_m(), place_m);
         let count = points(size);
@@ -94,6 +98,28 @@ impl<'a> Ground<'a> {
     /// Steps of the lattice over the distance between probes.
     pub fn steps(&self) -> i32 {
         PLACES * self.stride
+    }
+
+    /// Number of the places in narrow space, a sixth of the distance between probes apart, of the box that even places are in.
+    pub fn narrow_places(&self) -> u64 {
+        points(self.narrow())
+    }
+
+    /// Places of narrow space along each axis.
+    fn narrow(&self) -> IVec3 {
+        (self.places.1 - 1) * (NARROW / PLACES) + 1
+    }
+
+    /// A place of narrow space by its number.
+    pub fn narrow_place(&self, index: u64) -> Option<ProbeKey> {
+        let [x, y, _] = self.narrow().to_array().map(|along| along as u64);
+        let at = IVec3::new((index % x) as i32, (index / x % y) as i32, (index / (x * y)) as i32);
+        ProbeKey::of(self.places.0 * self.stride + at * self.narrow_step())
+    }
+
+    /// Steps of the lattice between places of narrow space.
+    pub fn narrow_step(&self) -> i32 {
+        self.steps() / NARROW
     }
 
     /// Corners of the box around all probes, in steps of the lattice.

@@ -143,6 +143,22 @@ fn leak_edges_put_probes_on_both_sides_of_a_wall() {
 }
 
 #[test]
+fn narrow_space_between_walls_has_probes() {
+    let mut scene = Scene::default();
+    let inwards = sides([Vec3::ZERO, Vec3::new(4.0, 2.0, 2.0)]).into_iter().map(|[a, b, c, d]| [a, d, c, b]);
+    add(&mut scene, &inwards.collect::<Vec<_>>(), 0.0);
+    // Narrower than two clearances of even places, 6 cm each.
+    add(&mut scene, &sides([Vec3::new(1.85, 0.0, 0.0), Vec3::new(1.95, 2.0, 2.0)]), 0.0);
+    add(&mut scene, &sides([Vec3::new(2.05, 0.0, 0.0), Vec3::new(2.15, 2.0, 2.0)]), 0.0);
+    let geometry = Geometry::new(scene).unwrap();
+    let found = surveyed(&geometry, (0, 0), 0.6, &Progress::new()).unwrap();
+    let between: Vec<Vec3> =
+        found.positions_m().into_iter().filter(|at_m| (at_m.x - 2.0).abs() < 0.05).collect();
+    assert!(between.len() >= 4, "{between:?}");
+    assert!(between.iter().all(|at_m| (at_m.x - 2.0).abs() < 0.021), "{between:?}");
+}
+
+#[test]
 fn scenes_without_light_and_too_many_probes_are_refused() {
     let wrong = |geometry: &Geometry, way: u32, spacing_m: f32| {
         surveyed(geometry, (way, 0), spacing_m, &Progress::new()).unwrap_err().to_string()
@@ -152,6 +168,57 @@ fn scenes_without_light_and_too_many_probes_are_refused() {
     assert!(wrong(&dark, 3, 0.5).contains("has none; add lights"));
     let lit = room(1.0);
     assert!(wrong(&lit, 2, 0.2).contains("field_probes_max is 400"), "{}", wrong(&lit, 2, 0.2));
+}
+
+/// Asks for the light around points of the box around a cloud; each thousandth is looked for in all tetrahedra.
+fn asked(count: u32) {
+    let geometry = room(0.0);
+    let found = surveyed(&geometry, (0, 0), 0.3, &Progress::new()).unwrap();
+    let probes: Vec<_> = (0..found.probes.len()).map(|index| found.probe(index)).collect();
+    let part = FieldPart { spacing_m: found.step_m, probes, ..FieldPart::default() };
+    let set = found.tetrahedra().unwrap();
+    let table = TetrahedraTable::of(&[part], &set).unwrap();
+    let [low_m, high_m] = set.box_m.map(Vec3::from);
+    let place = |vertex: u32| table.places_m[vertex as usize].truncate();
+    let nearest = |point_m: Vec3| {
+        let shares = |vertices: &[u32; 4]| {
+            let [first, a, b, c] = vertices.map(place);
+            let [a, b, c, to] = [a, b, c, point_m].map(|at| at.as_dvec3() - first.as_dvec3());
+            let of = [to.dot(b.cross(c)), to.dot(c.cross(a)), to.dot(a.cross(b))];
+            let of = of.map(|part| part / a.dot(b.cross(c)));
+            (1.0 - of.iter().sum::<f64>()).min(of[0]).min(of[1]).min(of[2])
+        };
+        table.vertices.iter().max_by(|a, b| shares(a).total_cmp(&shares(b))).unwrap()
+    };
+    (0..count).into_par_iter().for_each(|index| {
+        let along = |axis: u64| seed_of(&[u64::from(index), axis]) as u32 as f32 / u32::MAX as f32;
+        let point_m = low_m + (high_m - low_m) * Vec3::new(along(0), along(1), along(2));
+        let around = table.around(point_m);
+        let shares: f32 = around.iter().map(|(_, share)| share).sum();
+        if shares > 1.0 - 1e-6 {
+            // Light that changes evenly is read as it is.
+            let read: Vec3 = around.iter().map(|&(probe, share)| place(probe) * share).sum();
+            assert!(read.distance(point_m) < 1e-4, "{read} at {point_m}");
+        }
+        if index % 1000 == 0 {
+            let wanted = nearest(point_m);
+            let is_of = |(probe, share): &(u32, f32)| wanted.contains(probe) || *share < 1e-4;
+            assert!(around.iter().all(is_of), "{around:?} at {point_m}, wanted {wanted:?}");
+            let corners = wanted.iter().filter(|vertex| **vertex as usize >= found.probes.len()).count();
+            assert!(corners > 0 || (shares - 1.0).abs() < 1e-4, "{around:?} at {point_m}");
+        }
+    });
+}
+
+#[test]
+fn points_are_found_in_their_tetrahedra() {
+    asked(100_000);
+}
+
+#[test]
+#[ignore = "takes a minute"]
+fn ten_million_points_are_found_in_their_tetrahedra() {
+    asked(10_000_000);
 }
 
 #[test]

@@ -1,0 +1,52 @@
+//! A medium between surfaces.
+
+use super::Frame;
+use crate::error::Result;
+use crate::passes::fog::{Fog, FogNumbers, FogPass};
+use crate::passes::shade::ShadeView;
+
+impl Frame<'_> {
+    /// Sets a medium or takes it away. The first makes buffers for it, others make nothing. Errs, and changes nothing, where a number of it
+    /// is out of its range or the adapter cannot draw it.
+    pub fn set_fog(&mut self, fog: Option<Fog>) -> Result<()> {
+        if let Some(fog) = &fog {
+            fog.check()?;
+            if self.fog_pass.is_none() {
+                self.fog_pass = Some(self.fog_pass_of(fog)?);
+            }
+        }
+        self.fog = fog;
+        Ok(())
+    }
+
+    /// Makes the passes of the medium anew, if there is one, for pictures of another size or another bake's light.
+    pub(super) fn make_fog_anew(&mut self) -> Result<()> {
+        self.fog_pass = self.fog.as_ref().map(|fog| self.fog_pass_of(fog)).transpose()?;
+        Ok(())
+    }
+
+    fn fog_pass_of(&self, fog: &Fog) -> Result<FogPass> {
+        let numbers = self.fog_numbers(fog)?;
+        let (shading, resources) = (self.bake.light.shading(), self.light.bindings());
+        let radiance = self.bake.light.medium().map(|snippet| (snippet, &shading, &resources[..]));
+        let pass = FogPass::new(&self.gpu, &self.shadow, radiance, self.shade.depth(), &numbers)?;
+        self.gpu.check()?;
+        Ok(pass)
+    }
+
+    fn fog_numbers(&self, fog: &Fog) -> Result<FogNumbers> {
+        let view: ShadeView = self.view(&self.camera, [0.0; 2])?;
+        Ok(FogNumbers::new(fog, &self.camera, &view, self.room.size, self.bounds_m))
+    }
+
+    /// Draws the medium before the sample that was drawn last; none over colours that stand for light.
+    pub(super) fn draw_fog(&mut self) -> Result<()> {
+        let Some(fog) = self.fog.as_ref().filter(|_| self.overlay.is_none()) else { return Ok(()) };
+        let numbers = self.fog_numbers(fog)?;
+        let Some(pass) = &self.fog_pass else { return Ok(()) };
+        pass.set(&self.gpu, &numbers);
+        let (shadow, picture) = (&self.shadow, self.shade.radiance());
+        self.watch.submit(&self.gpu, |encoder| pass.record(encoder, shadow, picture));
+        Ok(())
+    }
+}
