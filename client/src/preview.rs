@@ -1,5 +1,6 @@
 //! One picture of a bake: lights in, converged bounces, picture out.
 
+mod components;
 mod cpu;
 mod debug;
 mod edges;
@@ -28,12 +29,13 @@ use crate::raster::camera_clip_from_world;
 use crate::scene::{LoadedScene, Stance, bounds_of, check_stances};
 
 pub use crate::passes::fog::Fog;
+pub use components::components;
 pub use debug::debug_picture;
 pub use edges::probe_edges;
 #[cfg(test)]
 pub(crate) use gpu::frame_of;
 pub use path::{FILE_MAX as PATH_FILE_MAX, ViewPath};
-pub use probes::probe_spheres;
+pub use probes::{ProbeColours, probe_spheres};
 pub use receivers::{LitReceivers, light_receivers};
 pub use within::StreamedBake;
 

@@ -7,6 +7,7 @@ use glam::Vec3;
 use lightkiln_proto::content::Draw;
 use lightkiln_proto::manifest::Material;
 
+use super::components::see_each_other;
 use super::probes::{no_probes, plain_material};
 use crate::bake::{FreeSpace, LoadedBake, NO_PROBE};
 use crate::error::Result;
@@ -14,8 +15,6 @@ use crate::scene::{Object, Rigid};
 
 /// Thickness of a bar over the distance between probes.
 const THICKNESS: f32 = 0.012;
-/// Share of an edge at whose end a surface does not cut it: depth maps round edges off.
-const END: f32 = 0.05;
 /// Sides of a bar.
 const SIDES: usize = 3;
 
@@ -27,7 +26,7 @@ pub fn probe_edges(bake: &LoadedBake) -> Result<Object> {
     let mut draws = [0, 1].map(|material| Draw { material, ..Draw::default() });
     for [from, to] in edges(space) {
         let ends_m = [from, to].map(|probe| space.positions_m()[probe as usize].truncate());
-        add_bar(&mut draws[usize::from(is_cut(space, [from, to], ends_m))], ends_m, radius_m);
+        add_bar(&mut draws[usize::from(!see_each_other(space, [from, to], ends_m))], ends_m, radius_m);
     }
     let materials: Vec<Material> = vec![
         plain_material("edge", [0.1, 0.8, 0.2]),
@@ -62,15 +61,6 @@ fn edges(space: &dyn FreeSpace) -> BTreeSet<[u32; 2]> {
         }
     }
     found
-}
-
-/// A surface stands between two probes, as either of them sees it.
-fn is_cut(space: &dyn FreeSpace, probes: [u32; 2], [from_m, to_m]: [Vec3; 2]) -> bool {
-    let (Some(way), length_m) = ((to_m - from_m).try_normalize(), from_m.distance(to_m)) else {
-        return false;
-    };
-    let reach_m = (1.0 - END) * length_m;
-    space.distance_m(probes[0], way) < reach_m || space.distance_m(probes[1], -way) < reach_m
 }
 
 /// Adds a bar with open ends.

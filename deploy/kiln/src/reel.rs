@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
-use lightkiln_client::preview::{PATH_FILE_MAX, ViewPath, probe_edges, probe_spheres};
+use lightkiln_client::preview::{PATH_FILE_MAX, ProbeColours, ViewPath, probe_edges, probe_spheres};
 use lightkiln_client::scene::{Object, Stance};
 use lightkiln_client::stream::{Baked, Budget, Streamed};
 use lightkiln_proto::relight::LevelCount;
@@ -23,6 +23,11 @@ use crate::objects::{ObjectArgument, parse_object};
 pub enum ShowName {
     /// Probes in free space: white spheres in the light that they have, which cast shadows
     Probes,
+    /// Probes coloured by their depth maps: red towards what is near, over yellow to blue from twice their distance from each other on
+    Depth,
+    /// Probes coloured by component, probes that see each other by way of others: white the one with most, another colour for each room that
+    /// is closed
+    Components,
     /// Edges between probes, along which light is told: green ones, and red ones that a surface cuts, whose light depth maps stop
     Edges,
 }
@@ -82,7 +87,9 @@ impl Reel {
     pub fn show_in(&self, bake: &mut LoadedBake, stances: &mut Vec<Stance>) -> Result<()> {
         let shown = match self.show {
             None => return Ok(()),
-            Some(ShowName::Probes) => probe_spheres(bake)?,
+            Some(ShowName::Probes) => probe_spheres(bake, ProbeColours::White)?,
+            Some(ShowName::Depth) => probe_spheres(bake, ProbeColours::Depth)?,
+            Some(ShowName::Components) => probe_spheres(bake, ProbeColours::Components)?,
             Some(ShowName::Edges) => probe_edges(bake)?,
         };
         bake.add_object(shown)?;

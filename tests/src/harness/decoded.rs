@@ -100,7 +100,7 @@ impl Decoded {
 /// The field of a bake whose light is captured, and its coefficients at probes.
 pub fn captured(bake: &LocalBake) -> Result<(field::FieldTable, Vec<Vec4>)> {
     let (parts, tetrahedra) = parts(bake)?;
-    let table = captured::joined(&parts, tetrahedra.as_ref())?;
+    let table = captured::joined(&bake.manifest.body()?, &parts, tetrahedra.as_ref())?;
     let rows = captured::light(&table, &Threads);
     Ok((table, rows))
 }
