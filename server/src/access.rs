@@ -109,7 +109,53 @@ pub struct Bearer {
     pub revoked_ms: Option<i64>,
 }
 
+/// Standing of a bearer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It opens its scopes.
+    Good,
+    /// It was revoked.
+    Revoked,
+    /// A code for which a worker has its token.
+    Used,
+    /// A code that nobody used in time.
+    TooOld,
+}
+
+impl Standing {
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Revoked => "revoked",
+            Self::Used => "used",
+            Self::TooOld => "too old",
+        }
+    }
+}
+
 impl Bearer {
+    /// Standing among all bearers of a farm, at a time in Unix milliseconds.
+    pub fn standing(&self, all: &[Self], now_ms: i64) -> Standing {
+        let is_code = self.scopes.contains(&Scope::Enrol);
+        let is_for = |other: &Self| other.name == self.worker() && other.created_ms >= self.created_ms;
+        if self.revoked_ms.is_some() {
+            Standing::Revoked
+        } else if is_code && all.iter().any(is_for) {
+            Standing::Used
+        } else if is_code && self.is_too_old(now_ms) {
+            Standing::TooOld
+        } else {
+            Standing::Good
+        }
+    }
+
+    /// The lifetime of codes is over since it was made.
+    pub(crate) fn is_too_old(&self, now_ms: i64) -> bool {
+        u128::try_from(now_ms.saturating_sub(self.created_ms))
+            .is_ok_and(|age| age > CODE_LIFETIME.as_millis())
+    }
+
     /// The worker that a code is for.
     pub(crate) fn worker(&self) -> &str {
         self.name.rsplit_once(CODE_MARK).map_or(&self.name, |(worker, _)| worker)
@@ -185,6 +231,25 @@ mod tests {
         assert!(bound_to(Some(&b), &bound) != token && bound_to(None, &bound) != token);
         assert_eq!(bound_to(None, &token), token);
         assert_eq!(bound_to(Some(&a), "no token"), "no token");
+    }
+
+    #[test]
+    fn codes_are_good_until_they_are_used_or_too_old() {
+        let bearer = |name: &str, scope: Scope, created_ms: i64| {
+            let (hash, scopes) = (Digest::of(name.as_bytes()), BTreeSet::from([scope]));
+            Bearer { name: name.to_owned(), hash, scopes, created_ms, revoked_ms: None }
+        };
+        let code = bearer("oven.code-abcd", Scope::Enrol, 1000);
+        let all = |others: &[Bearer]| [std::slice::from_ref(&code), others].concat();
+        let late_ms = 1001 + CODE_LIFETIME.as_millis() as i64;
+        assert_eq!(code.standing(&all(&[]), 2000), Standing::Good);
+        assert_eq!(code.standing(&all(&[bearer("kiln", Scope::Worker, 1500)]), 2000), Standing::Good);
+        assert_eq!(code.standing(&all(&[]), late_ms), Standing::TooOld);
+        let worker = bearer("oven", Scope::Worker, 1500);
+        assert_eq!(code.standing(&all(std::slice::from_ref(&worker)), late_ms), Standing::Used);
+        assert_eq!(worker.standing(&all(&[]), late_ms), Standing::Good);
+        let revoked = Bearer { revoked_ms: Some(1200), ..code.clone() };
+        assert_eq!(revoked.standing(&all(&[worker]), 2000), Standing::Revoked);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use lightkiln_proto::ids::Digest;
 use tokio::sync::Mutex;
 
-use crate::access::{Bearer, CODE_LIFETIME, Scope};
+use crate::access::{Bearer, Scope};
 use crate::clock::{Clock as _, SystemClock};
 use crate::error::{Result, ServerError};
 use crate::store::{FarmStore, StoreError};
@@ -84,8 +84,7 @@ impl Guard {
         let is_code = |bearer: &&Bearer| bearer.hash == hash && bearer.scopes == [Scope::Enrol].into();
         let code = bearers.iter().find(is_code).filter(|code| code.revoked_ms.is_none());
         let code = code.ok_or(refused("the code is unknown or was revoked"))?;
-        let age_ms = SystemClock.now_ms().saturating_sub(code.created_ms);
-        if u128::try_from(age_ms).is_ok_and(|age| age > CODE_LIFETIME.as_millis()) {
+        if code.is_too_old(SystemClock.now_ms()) {
             return Err(refused("the code is too old; 'kiln token enrol' makes another"));
         }
         match self.store.add_bearer(code.worker(), token, &[Scope::Worker].into()).await {

@@ -1,6 +1,7 @@
 //! `kiln token`: who may call a farm, and for what.
 
 use std::collections::BTreeSet;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use clap::{Args, Subcommand};
 use lightkiln_server::access::{Bearer, CODE_LIFETIME, NewBearer, Scope};
@@ -119,6 +120,8 @@ async fn warn_of_the_first(store: &SqlStore) -> std::result::Result<(), ServerEr
 
 fn list(bearers: &[Bearer], as_json: bool) {
     let names = |scopes: &BTreeSet<Scope>| scopes.iter().map(|scope| scope.name()).collect::<Vec<_>>();
+    let now_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |age| age.as_millis() as i64);
+    let standing = |bearer: &Bearer| bearer.standing(bearers, now_ms).name();
     if as_json {
         let entry = |bearer: &Bearer| {
             json!({
@@ -126,14 +129,14 @@ fn list(bearers: &[Bearer], as_json: bool) {
                 "scopes": names(&bearer.scopes),
                 "created_ms": bearer.created_ms,
                 "revoked_ms": bearer.revoked_ms,
+                "standing": standing(bearer),
             })
         };
         put_json(&bearers.iter().map(entry).collect::<Vec<_>>());
         return;
     }
     for bearer in bearers {
-        let state = if bearer.revoked_ms.is_some() { "revoked" } else { "good" };
-        answer!("{:24}  {state:7}  {}", bearer.name, names(&bearer.scopes).join(","));
+        answer!("{:24}  {:7}  {}", bearer.name, standing(bearer), names(&bearer.scopes).join(","));
     }
     if bearers.is_empty() {
         say!("this farm asks nobody for a token; 'kiln token create NAME --scope …' makes one");
