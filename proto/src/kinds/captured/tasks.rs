@@ -6,7 +6,7 @@ use crate::jobs::TaskSpec;
 use crate::kinds::{SceneTasks, TaskKind, cloud, grid};
 
 /// Scene → probes in free space, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "captured.plan", version: 4 };
+pub const PLAN: TaskKind = TaskKind { name: "captured.plan", version: 5 };
 /// Some probes → their depth maps and their light, as a chunk.
 pub const GATHER: TaskKind = TaskKind { name: "captured.gather", version: 2 };
 /// Everything → manifest and report.

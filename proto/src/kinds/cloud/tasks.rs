@@ -7,7 +7,7 @@ use crate::kinds::prt::{self, tasks as relightable};
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers and patches → the tasks of a relightable bake, probes in free space, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "cloud.plan", version: 4 };
+pub const PLAN: TaskKind = TaskKind { name: "cloud.plan", version: 5 };
 /// Some probes → their depth maps and factorised transport, as a chunk.
 pub const GATHER: TaskKind = TaskKind { name: "cloud.gather", version: 2 };
 /// Everything → manifest, directory and report.

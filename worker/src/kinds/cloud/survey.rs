@@ -20,8 +20,8 @@ use crate::task::{Cancelled, Progress, TaskError};
 const ROUNDS: u32 = 4;
 /// Share of the survey that is done when probes stand where their placement has them.
 const FIRST: f32 = 0.3;
-/// Places beside a place that see no probe either, at least, for it to be worth one: slits have fewer.
-const BESIDE: usize = 6;
+/// Places beside a place that see no probe either, at least, for it to be worth one: cracks have fewer.
+const BESIDE: usize = 3;
 
 /// Probes of a scene in its volume, and the tetrahedra between them and the corners of a box around these.
 pub fn survey(
