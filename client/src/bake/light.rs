@@ -154,7 +154,7 @@ pub trait Light: Debug + Send + Sync {
     fn shading(&self) -> Shading;
 
     /// WGSL of `fn mean_radiance(point: vec3f) -> vec3f`, which a medium scatters, with the bindings of shading in group 1 from 1; `None`
-    /// for a kind without probes.
+    /// for a kind without probes in free space.
     fn medium(&self) -> Option<&'static str> {
         None
     }

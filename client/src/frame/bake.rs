@@ -71,7 +71,7 @@ impl<'a> Frame<'a> {
         (self.has_lod, self.lod_plan) = (self.lod.is_some(), None);
         self.overlay = overlay;
         (self.light, self.change, self.bake) = (light, change, bake);
-        self.make_fog_anew()?;
+        self.drop_fog_pass();
         self.plan_lod();
         if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
             self.light.set_albedo(&self.gpu, &albedo);

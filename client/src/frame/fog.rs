@@ -6,23 +6,23 @@ use crate::passes::fog::{Fog, FogNumbers, FogPass};
 use crate::passes::shade::ShadeView;
 
 impl Frame<'_> {
-    /// Sets a medium or takes it away. The first makes buffers for it, others make nothing. Errs, and changes nothing, where a number of it
-    /// is out of its range or the adapter cannot draw it.
+    /// Sets a medium or takes it away. The first makes buffers for it, as does the first picture of another size or with another bake; others make
+    /// nothing. Errs, and changes nothing, where a number of it is out of its range or the adapter cannot draw it.
     pub fn set_fog(&mut self, fog: Option<Fog>) -> Result<()> {
         if let Some(fog) = &fog {
             fog.check()?;
             if self.fog_pass.is_none() {
                 self.fog_pass = Some(self.fog_pass_of(fog)?);
+                self.fog_filled = None;
             }
         }
         self.fog = fog;
         Ok(())
     }
 
-    /// Makes the passes of the medium anew, if there is one, for pictures of another size or another bake's light.
-    pub(super) fn make_fog_anew(&mut self) -> Result<()> {
-        self.fog_pass = self.fog.as_ref().map(|fog| self.fog_pass_of(fog)).transpose()?;
-        Ok(())
+    /// Lets go of the medium's passes, which are of another size or another bake's light; the next picture makes them anew.
+    pub(super) fn drop_fog_pass(&mut self) {
+        (self.fog_pass, self.fog_filled) = (None, None);
     }
 
     fn fog_pass_of(&self, fog: &Fog) -> Result<FogPass> {
@@ -39,14 +39,28 @@ impl Frame<'_> {
         Ok(FogNumbers::new(fog, &self.camera, &view, self.room.size, self.bounds_m))
     }
 
-    /// Draws the medium before the sample that was drawn last; none over colours that stand for light.
-    pub(super) fn draw_fog(&mut self) -> Result<()> {
-        let Some(fog) = self.fog.as_ref().filter(|_| self.overlay.is_none()) else { return Ok(()) };
-        let numbers = self.fog_numbers(fog)?;
+    /// Draws the medium before the sample that was drawn last; none over colours that stand for light. Where there is no room for it, it is taken
+    /// away, and the error says so once.
+    pub(super) fn draw_fog(&mut self, is_new_light: bool) -> Result<()> {
+        let Some(fog) = self.fog.filter(|_| self.overlay.is_none()) else { return Ok(()) };
+        if self.fog_pass.is_none() {
+            let made = self.fog_pass_of(&fog).inspect_err(|_| self.fog = None);
+            self.fog_pass = Some(made?);
+        }
+        let numbers = self.fog_numbers(&fog)?;
         let Some(pass) = &self.fog_pass else { return Ok(()) };
-        pass.set(&self.gpu, &numbers);
+        let fills = is_new_light || self.fog_filled != Some(numbers);
+        if fills {
+            pass.set(&self.gpu, &numbers);
+        }
         let (shadow, picture) = (&self.shadow, self.shade.radiance());
-        self.watch.submit(&self.gpu, |encoder| pass.record(encoder, shadow, picture));
+        self.watch.submit(&self.gpu, |encoder| {
+            if fills {
+                pass.fill(encoder, shadow);
+            }
+            pass.draw_over(encoder, picture);
+        });
+        self.fog_filled = Some(numbers);
         Ok(())
     }
 }

@@ -36,7 +36,7 @@ use crate::bake::{
 use crate::error::Result;
 use crate::lights::{Caster, Panorama, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
-use crate::passes::fog::{Fog, FogPass};
+use crate::passes::fog::{Fog, FogNumbers, FogPass};
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::shade::{ShadePass, ShadeView};
@@ -76,6 +76,8 @@ pub struct Frame<'a> {
     has_paint: bool,
     fog: Option<Fog>,
     fog_pass: Option<FogPass>,
+    /// The view that the froxels are filled for, under light as it is.
+    fog_filled: Option<FogNumbers>,
     lod: Option<Lod>,
     has_lod: bool,
     lod_plan: Option<LodPlan>,
@@ -161,6 +163,7 @@ impl<'a> Frame<'a> {
             has_paint: false,
             fog: None,
             fog_pass: None,
+            fog_filled: None,
             lod: None,
             has_lod: false,
             lod_plan: None,
@@ -315,7 +318,7 @@ impl<'a> Frame<'a> {
             light.prepare_view(gpu, encoder, &view);
         });
         self.shade.draw((gpu, &mut self.watch), &self.meshes, &self.shadow, &view);
-        self.draw_fog()?;
+        self.draw_fog(publishes)?;
         let gpu = &*self.gpu;
         gpu.poll(false)?;
         self.watch.hear(gpu)
@@ -327,7 +330,7 @@ impl<'a> Frame<'a> {
         if room != self.room {
             self.shade.resize(&self.gpu, size)?;
             self.room = room;
-            self.make_fog_anew()?;
+            self.drop_fog_pass();
             self.plan_lod();
         }
         Ok(())
@@ -444,6 +447,7 @@ impl<'a> Frame<'a> {
         if !cascades && !direct {
             return;
         }
+        self.fog_filled = None;
         self.watch.submit(&self.gpu, |encoder| {
             if cascades {
                 self.shadow.record(encoder, &self.meshes, first..self.plan.faces.len());

@@ -162,7 +162,7 @@ impl LookArguments {
         view.fog = self.fog;
         if view.fog.is_some() && bake.light.medium().is_none() {
             notes.push(format!(
-                "bakes of kind {} have no probes: fog shows light of lamps alone, none of skies and surfaces",
+                "bakes of kind {} have no probes in free space: fog shows light of lamps alone, none of skies and surfaces",
                 bake.scene.manifest.kind
             ));
         }

@@ -15,7 +15,7 @@ fn opened(folder: &Path) -> Result<LoadedBake> {
     LoadedBake::load(&Source::bundle(folder)?, &kinds::all())
 }
 
-/// What is said of a bundle whose manifest was changed.
+/// Words for a bundle whose manifest was changed.
 fn refused(is_lattice: bool, change: impl FnOnce(&Path, &mut Manifest)) -> String {
     let folder = tempfile::tempdir().unwrap();
     let mut manifest = write_captured(folder.path(), is_lattice);

@@ -21,7 +21,7 @@ pub const TOLERANCE: f32 = 2e-2;
 /// Share of pixels that may differ more: outlines, where depths are another surface's.
 pub const OUTLIERS: f32 = 1e-2;
 
-/// The shader of froxels without what tells the mean radiance.
+/// The shader of froxels, but for the function that tells the mean radiance.
 pub const FILL_SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
     include_str!("../shared/rect.wgsl"),
@@ -31,7 +31,7 @@ pub const FILL_SHADER: &str = concat!(
 );
 /// The shader of the picture behind the medium.
 pub const OVER_SHADER: &str = concat!(include_str!("numbers.wgsl"), include_str!("over.wgsl"));
-/// What tells the mean radiance of a kind without probes: nothing.
+/// Mean radiance of a kind without probes in free space: none.
 pub const NO_RADIANCE: &str = "fn mean_radiance(point: vec3f) -> vec3f { return vec3f(0.0); }\n";
 
 /// Side of a column in pixels. More → less time, coarser edges of shafts.
@@ -155,14 +155,9 @@ impl FogNumbers {
         let eye = Vec3::from(camera.eye_m);
         let forward = (Vec3::from(camera.target_m) - eye).normalize_or(Vec3::NEG_Z);
         let [low, high] = bounds_m.map(Vec3::from);
-        let corner = |at: u32| {
-            let of = |axis: u32| {
-                Vec3::from_array([low, high][(at >> axis & 1) as usize].to_array())[axis as usize]
-            };
-            Vec3::new(of(0), of(1), of(2))
-        };
-        let farthest = (0..8).map(|at| (corner(at) - eye).dot(forward)).fold(0.0, f32::max);
-        let far_m = farthest.max(1e-3 * (high - low).length()).max(f32::MIN_POSITIVE);
+        // As far in all directions, so that the sky stays as it is when the camera turns.
+        let farthest = (eye - low).abs().max((eye - high).abs()).length();
+        let far_m = farthest.max(f32::MIN_POSITIVE);
         let [eye_per_x, eye_per_y] = match camera.orthographic_half_height_m {
             None => [Vec3::ZERO; 2],
             Some(half_m) => {

@@ -9,24 +9,29 @@ fn whole(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
     return vec4f(vec2f(f32(index & 1u), f32(index >> 1u)) * 4.0 - 1.0, 0.0, 1.0);
 }
 
+// Radiance that a slice of a thick medium would send, from the sums before and behind it.
+fn sent(before: vec4f, end: vec4f) -> vec3f {
+    return (end.rgb - before.rgb) / max(exp(-before.w) * stopped_by(end.w - before.w), 1e-30);
+}
+
 // Light scattered and optical thickness up to a depth in a column. Where the depth ends within a slice, what is scattered there is that of
-// the slice before: the middle of its own may lie behind what is seen.
+// the slice before, as the middle of its own may lie behind what is seen; past the middle it goes over to its own.
 fn up_to(column: vec2u, slices: f32) -> vec4f {
     let slice = min(u32(slices), fog.size.z - 1u);
     let part = (depth_of(slices) - depth_of(f32(slice))) / (depth_of(f32(slice) + 1.0) - depth_of(f32(slice)));
     let end = froxels[froxel(column, slice)];
-    if slice == 0u {
-        return vec4f(end.rgb * stopped_by(end.w * part) / max(stopped_by(end.w), 1e-30), end.w * part);
-    }
-    let start = froxels[froxel(column, slice - 1u)];
-    var before = vec4f(0.0);
-    if slice > 1u {
-        before = froxels[froxel(column, slice - 2u)];
+    var start = vec4f(0.0);
+    var radiance = sent(start, end);
+    if slice > 0u {
+        start = froxels[froxel(column, slice - 1u)];
+        var before = vec4f(0.0);
+        if slice > 1u {
+            before = froxels[froxel(column, slice - 2u)];
+        }
+        radiance = mix(sent(before, start), sent(start, end), clamp(2.0 * part - 1.0, 0.0, 1.0));
     }
     let thickness = (end.w - start.w) * part;
-    let of_before = exp(-before.w) * stopped_by(start.w - before.w);
-    let more = (start.rgb - before.rgb) * (exp(-start.w) * stopped_by(thickness) / max(of_before, 1e-30));
-    return vec4f(start.rgb + more, start.w + thickness);
+    return vec4f(start.rgb + radiance * exp(-start.w) * stopped_by(thickness), start.w + thickness);
 }
 
 @fragment

@@ -16,9 +16,7 @@ const GROUP: u32 = 8;
 #[derive(Debug)]
 pub struct FogPass {
     fill: wgpu::ComputePipeline,
-    light_layout: wgpu::BindGroupLayout,
     light: wgpu::BindGroup,
-    has_radiance: bool,
     fill_froxels: wgpu::BindGroup,
     over: wgpu::RenderPipeline,
     over_group: wgpu::BindGroup,
@@ -69,8 +67,6 @@ impl FogPass {
         Ok(Self {
             fill,
             light,
-            light_layout,
-            has_radiance: radiance.is_some(),
             fill_froxels: gpu.bind(&froxel_layout, &[froxels.as_entire_binding()]),
             over: over_pipeline(gpu, &over_layout),
             over_group: gpu.bind(&over_layout, &bound),
@@ -79,19 +75,13 @@ impl FogPass {
         })
     }
 
-    /// Binds other resources of shading.
-    pub fn bind(&mut self, gpu: &Gpu, resources: &[wgpu::BindingResource<'_>]) {
-        let resources = if self.has_radiance { resources } else { &[] };
-        self.light = gpu.bind(&self.light_layout, &[&[self.numbers.as_entire_binding()], resources].concat());
-    }
-
     /// Sets the medium and the view.
     pub fn set(&self, gpu: &Gpu, numbers: &FogNumbers) {
         gpu.write(&self.numbers, std::slice::from_ref(numbers));
     }
 
-    /// Fills the froxels and draws the medium before a picture.
-    pub fn record(&self, encoder: &mut Recorder<'_>, shadow: &ShadowPass, picture: &wgpu::TextureView) {
+    /// Fills the froxels.
+    pub fn fill(&self, encoder: &mut Recorder<'_>, shadow: &ShadowPass) {
         let mut pass = encoder.compute("fog");
         pass.set_pipeline(&self.fill);
         pass.set_bind_group(0, &shadow.light_group, &[]);
@@ -99,7 +89,10 @@ impl FogPass {
         pass.set_bind_group(2, &self.fill_froxels, &[]);
         let [columns, rows] = self.columns.map(|along| along.div_ceil(GROUP));
         pass.dispatch_workgroups(columns, rows, 1);
-        drop(pass);
+    }
+
+    /// Draws the medium before a picture.
+    pub fn draw_over(&self, encoder: &mut Recorder<'_>, picture: &wgpu::TextureView) {
         let mark = encoder.mark("fog over the picture");
         let ops = wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {

@@ -27,6 +27,11 @@ fn stopped_by(thickness: f32) -> f32 {
     if thickness < 1e-3 { thickness * (1.0 - 0.5 * thickness) } else { 1.0 - (-thickness).exp() }
 }
 
+/// Radiance that a slice of a thick medium would send, from the sums before and behind it.
+fn sent(before: Vec4, end: Vec4) -> Vec3 {
+    (end - before).truncate() / ((-before.w).exp() * stopped_by(end.w - before.w)).max(1e-30)
+}
+
 impl FogNumbers {
     fn depth_of(&self, slices: f32) -> f32 {
         let share = slices / self.size[2] as f32;
@@ -39,7 +44,7 @@ impl FogNumbers {
     }
 
     /// Henyey and Greenstein's share of scattered light by direction, per steradian.
-    fn phase(&self, cosine: f32) -> f32 {
+    pub(super) fn phase(&self, cosine: f32) -> f32 {
         let g = self.ray[3];
         let below = 1.0 + g * g - 2.0 * g * cosine;
         (1.0 - g * g) / (4.0 * PI * below * below.sqrt())
@@ -107,16 +112,15 @@ impl Froxels {
         let [low, high] = [slice, slice + 1].map(|slice| numbers.depth_of(slice as f32));
         let part = (numbers.depth_of(slices) - low) / (high - low);
         let end = self.at(column, slice);
-        if slice == 0 {
-            let share = stopped_by(end.w * part) / stopped_by(end.w).max(1e-30);
-            return (end.truncate() * share).extend(end.w * part);
+        let (mut start, mut radiance) = (Vec4::ZERO, sent(Vec4::ZERO, end));
+        if slice > 0 {
+            start = self.at(column, slice - 1);
+            let before = if slice > 1 { self.at(column, slice - 2) } else { Vec4::ZERO };
+            radiance = sent(before, start).lerp(sent(start, end), (2.0 * part - 1.0).clamp(0.0, 1.0));
         }
-        let start = self.at(column, slice - 1);
-        let before = if slice > 1 { self.at(column, slice - 2) } else { Vec4::ZERO };
         let thickness = (end.w - start.w) * part;
-        let of_before = (-before.w).exp() * stopped_by(start.w - before.w);
-        let share = (-start.w).exp() * stopped_by(thickness) / of_before.max(1e-30);
-        (start.truncate() + (start - before).truncate() * share).extend(start.w + thickness)
+        let more = radiance * ((-start.w).exp() * stopped_by(thickness));
+        (start.truncate() + more).extend(start.w + thickness)
     }
 
     /// A pixel's radiance behind the medium; its alpha stays. `z` is its depth in the picture.

@@ -122,3 +122,39 @@ fn words_are_read_and_faults_named() {
         assert!(error.contains(wanted), "{text}: {error}");
     }
 }
+
+#[test]
+fn light_is_turned_as_g_says_and_none_is_lost() {
+    for g in [-0.6, 0.0, 0.4, 0.9] {
+        let camera = camera(None);
+        let view = ShadeView::new(&camera, SIZE, BOUNDS_M, Sky::default(), [0.0; 2]).unwrap();
+        let numbers = FogNumbers::new(&Fog { g, ..fog() }, &camera, &view, SIZE, BOUNDS_M);
+        let steps = 200_000;
+        let cosine = |step: u32| 2.0 * (step as f64 + 0.5) / f64::from(steps) - 1.0;
+        let around = 4.0 * std::f64::consts::PI / f64::from(steps);
+        let (mut all, mut mean) = (0.0, 0.0);
+        for cosine in (0..steps).map(cosine) {
+            let share = f64::from(numbers.phase(cosine as f32)) * around;
+            (all, mean) = (all + share, mean + share * cosine);
+        }
+        // The ray looks towards the light where its cosine is 1: light goes on forwards.
+        assert!((all - 1.0).abs() < 1e-3 && (mean - f64::from(g)).abs() < 1e-3, "{g}: {all}, {mean}");
+    }
+}
+
+#[test]
+fn light_has_no_step_where_a_slice_ends() {
+    let camera = camera(None);
+    let lamp = |point: Vec3| Vec3::splat(1.0 / point.distance_squared(Vec3::new(3.4, 1.5, 3.0)).max(0.01));
+    let (found, seen) = froxels(&fog(), &camera, &lamp);
+    let eye = Vec3::from(camera.eye_m);
+    let along = (Vec3::from(camera.target_m) - eye).normalize();
+    let at = |step: u32| {
+        let (at, z) = seen(eye + along * (0.5 + 0.002 * step as f32));
+        found.over(Vec4::ZERO, at, z).x
+    };
+    let all: Vec<f32> = (0..3500).map(at).collect();
+    let most = all.iter().copied().fold(0.0, f32::max);
+    let step = all.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f32::max);
+    assert!(step < 0.004 * most, "a step of {step} of {most}");
+}

@@ -16,7 +16,7 @@ pub trait IndirectIrradiance: Sync {
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3;
 
     /// Mean radiance over all directions at a point in free space, but for what comes straight from a light, in W·m⁻²·sr⁻¹: a medium
-    /// scatters it. None of a kind without probes.
+    /// scatters it. None of a kind without probes in free space.
     fn mean_radiance(&self, point: Vec3) -> Vec3 {
         let _ = point;
         Vec3::ZERO

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::delaunay::tetrahedra;
 use super::placement::even::{self, Stand, clearance_m, thin};
 use super::placement::{Account, Ground, error, gradient, leak_edges, light::Light, spawn_merge};
-use crate::geometry::Geometry;
+use crate::geometry::{Bits, Geometry};
 use crate::kinds::field::{Place, Survey, Tessellation, is_free, narrow_clearance_m, place};
 use crate::rays::sampling::seed_of;
 use crate::task::{Cancelled, Progress, TaskError};
@@ -79,8 +79,9 @@ fn by_light(ground: &Ground<'_>, probes: ByLight, survey: &mut Survey) -> Result
 /// Adds probes at places that see no probe of their tetrahedron.
 fn seen(ground: &Ground<'_>, survey: &mut Survey) -> Result<(), TaskError> {
     ground.progress.begin(FIRST, 1.0, u64::from(ROUNDS) * ground.narrow_places());
+    let shut = Bits::new(ground.narrow_places() as usize);
     for _ in 0..ROUNDS {
-        let unseen = unseen(ground, survey)?;
+        let unseen = unseen(ground, survey, &shut)?;
         if thin(ground, survey, &unseen, |_, _| true)? == 0 {
             return Ok(());
         }
@@ -89,27 +90,37 @@ fn seen(ground: &Ground<'_>, survey: &mut Survey) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Free places, narrow ones too, that see no probe at the corners of their tetrahedron, in the order in which they become probes.
-fn unseen(ground: &Ground<'_>, survey: &Survey) -> Result<Vec<Stand>, TaskError> {
+/// Free places, narrow ones too, that see no probe at the corners of their tetrahedron, in the order in which they become probes. Those that
+/// are `shut` are not free, and others that turn out not to be are added to them.
+fn unseen(ground: &Ground<'_>, survey: &Survey, shut: &Bits) -> Result<Vec<Stand>, TaskError> {
     let probes = (0..survey.probes.len()).map(|index| survey.probe(index)).collect();
     let part = FieldPart { spacing_m: survey.step_m, probes, ..FieldPart::default() };
     let Some(set) = survey.tetrahedra() else { return Ok(Vec::new()) };
     let table = TetrahedraTable::of(&[part], &set)
         .map_err(|error| TaskError::bad_input_from("the tetrahedra contradict their probes", error))?;
     let Ground { geometry, spacing_m, .. } = *ground;
-    let is_unseen = |key: ProbeKey| {
+    let is_unseen = |key: ProbeKey, index: usize| {
+        if survey.probes.binary_search_by_key(&key.0, |probe| probe.0).is_ok() {
+            return false;
+        }
         let at_m = ground.position_m(key);
         let mut probes_m =
             table.around(at_m).into_iter().map(|(probe, _)| table.places_m[probe as usize].truncate());
-        !probes_m.any(|probe_m| probe_m == at_m || !geometry.tracer.is_occluded(probe_m, at_m))
-            && ground.volume.holds(at_m)
-            && is_free(geometry, at_m, narrow_clearance_m(spacing_m))
+        if probes_m.any(|probe_m| !geometry.tracer.is_occluded(probe_m, at_m)) {
+            return false;
+        }
+        let is_open = ground.volume.holds(at_m) && is_free(geometry, at_m, narrow_clearance_m(spacing_m));
+        if !is_open {
+            shut.add(index);
+        }
+        is_open
     };
     let found = (0..ground.narrow_places()).into_par_iter().map(|index| {
         ground.progress.check()?;
         ground.progress.advance(1);
-        let key = ground.narrow_place(index);
-        Ok(key.filter(|key| ground.progress.casting(|| is_unseen(*key))))
+        let (key, index) = (ground.narrow_place(index), index as usize);
+        let key = key.filter(|_| !shut.has(index));
+        Ok(key.filter(|key| ground.progress.casting(|| is_unseen(*key, index))))
     });
     let found: HashSet<ProbeKey> = found.filter_map(Result::transpose).collect::<Result<_, Cancelled>>()?;
     let step = ground.narrow_step();
