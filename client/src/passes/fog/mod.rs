@@ -1,5 +1,5 @@
 //! A medium between surfaces: it stops light, and scatters what comes from lights, past their shadows, and from probes. Froxels, columns
-//! through squares of pixels cut into slices, sum what is scattered towards the eye ([Wronski2014]); each pixel reads those up to its depth.
+//! through squares of pixels cut into slices, sum what is scattered towards the eye (\[Wronski2014\]); each pixel reads those up to its depth.
 //!
 //! Light that is scattered once is told, and no surface is darker for it: light on its way to surfaces is not stopped.
 
