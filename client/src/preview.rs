@@ -29,7 +29,6 @@ use crate::raster::camera_clip_from_world;
 use crate::scene::{LoadedScene, Stance, bounds_of, check_stances};
 
 pub use crate::passes::fog::Fog;
-pub use components::components;
 pub use debug::debug_picture;
 pub use edges::probe_edges;
 #[cfg(test)]

@@ -3,7 +3,6 @@
 use super::Frame;
 use crate::error::Result;
 use crate::passes::fog::{Fog, FogNumbers, FogPass};
-use crate::passes::shade::ShadeView;
 
 impl Frame<'_> {
     /// Sets a medium or takes it away. The first makes buffers for it, as does the first picture of another size or with another bake; others make
@@ -35,7 +34,7 @@ impl Frame<'_> {
     }
 
     fn fog_numbers(&self, fog: &Fog) -> Result<FogNumbers> {
-        let view: ShadeView = self.view(&self.camera, [0.0; 2])?;
+        let view = self.view(&self.camera, [0.0; 2])?;
         Ok(FogNumbers::new(fog, &self.camera, &view, self.room.size, self.bounds_m))
     }
 

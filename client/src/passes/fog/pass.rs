@@ -7,6 +7,7 @@ use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed, storage_read, storage_write, texture, uniform};
 use crate::passes::shade::Shading;
 use crate::passes::shadow::ShadowPass;
+use crate::passes::show::whole_pipeline;
 use crate::passes::stopwatch::Recorder;
 
 /// Side of a workgroup in columns.
@@ -124,29 +125,6 @@ fn over_pipeline(gpu: &Gpu, layout: &wgpu::BindGroupLayout) -> wgpu::RenderPipel
         color: part(wgpu::BlendFactor::One, wgpu::BlendFactor::SrcAlpha),
         alpha: part(wgpu::BlendFactor::Zero, wgpu::BlendFactor::One),
     };
-    gpu.render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("fog"),
-        layout: Some(&gpu.pipeline_layout(&[layout])),
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("whole"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("over"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            targets: &[Some(wgpu::ColorTargetState {
-                format: wgpu::TextureFormat::Rgba32Float,
-                blend: Some(blend),
-                write_mask: wgpu::ColorWrites::ALL,
-            })],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
+    let layout = gpu.pipeline_layout(&[layout]);
+    whole_pipeline(gpu, &layout, (&module, "over"), (wgpu::TextureFormat::Rgba32Float, Some(blend)))
 }

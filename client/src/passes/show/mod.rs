@@ -70,7 +70,7 @@ impl ShowPass {
         };
         let blend = wgpu::BlendState { color: one, alpha: one };
         let groups = gpu.pipeline_layout(&[&layout]);
-        let pipeline = |entry, format, blend| pipeline(gpu, &groups, (&module, entry), (format, blend));
+        let pipeline = |entry, format, blend| whole_pipeline(gpu, &groups, (&module, entry), (format, blend));
         let bytes = size_of::<ShowNumbers>() as u64;
         Self {
             add: pipeline("add", SUM, Some(blend)),
@@ -181,7 +181,8 @@ fn whole(
     pass.draw(0..3, 0..1);
 }
 
-fn pipeline(
+/// A pipeline that draws one triangle over all of a target, whose shader has it as `whole`.
+pub(in crate::passes) fn whole_pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
     (module, entry): (&wgpu::ShaderModule, &str),
