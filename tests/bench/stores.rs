@@ -2,6 +2,7 @@
 //! how long a plan of that many tasks takes to be taken in; after, how long the same bake takes that reuses them all.
 //! Then callers that work in batches, at one server and at two, and claims and figures beside many ready tasks.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -12,6 +13,7 @@ use lightkiln_server::chunks::ChunkName;
 use lightkiln_server::clock::SystemClock;
 use lightkiln_server::store::chunk::KeptChunk;
 use lightkiln_server::store::{FarmStore, SqlStore, Submission};
+use sqlx::Connection as _;
 
 use crate::model::MemoryStore;
 use crate::parts::postgres::Postgres;
@@ -32,6 +34,8 @@ const RARE: &str = "rare";
 const BATCH: u32 = 32;
 /// Ready tasks beside which claims are timed, and a plan of that many is taken in.
 const QUEUED: [usize; 2] = [1_000, 100_000];
+/// Pause between two looks at a database's sessions.
+const LOOK: Duration = Duration::from_millis(5);
 /// Claims that are timed beside each.
 const CLAIMS: usize = 400;
 
@@ -55,10 +59,12 @@ pub fn measure() {
         };
         let stores = [open().await, open().await];
         measure_store("PostgreSQL", stores[0].clone(), TASKS).await;
-        measure_batches("PostgreSQL", &stores[..1]).await;
-        let busy = Busy::begin();
-        measure_batches("PostgreSQL, two servers", &stores).await;
-        row("processors busy meanwhile", "PostgreSQL, two servers", &busy.end());
+        for (name, stores) in [("PostgreSQL", &stores[..1]), ("PostgreSQL, two servers", &stores)] {
+            let (busy, waits) = (Busy::begin(), Waits::begin(server.url(None)));
+            measure_batches(name, stores).await;
+            row("processors busy meanwhile", name, &busy.end());
+            row("what active sessions of the database did meanwhile", name, &waits.end().await);
+        }
         measure_queued("PostgreSQL", &*stores[0]).await;
     });
 }
@@ -159,6 +165,47 @@ impl Busy {
         let cores = std::thread::available_parallelism().unwrap().get() as f64;
         let busy_secs = (Self::ticks() - self.ticks) as f64 / 100.0;
         format!("{:.0} %", 100.0 * busy_secs / (cores * self.began.elapsed().as_secs_f64()))
+    }
+}
+
+/// What the active sessions of a database do, looked at again and again.
+struct Waits {
+    end: tokio::sync::oneshot::Sender<()>,
+    looks: tokio::task::JoinHandle<BTreeMap<String, i64>>,
+}
+
+impl Waits {
+    fn begin(url: String) -> Self {
+        let (end, mut ended) = tokio::sync::oneshot::channel();
+        let looks = tokio::spawn(async move {
+            let sql = "SELECT coalesce(wait_event_type || ' ' || wait_event, 'run'), count(*) FROM pg_stat_activity
+                 WHERE datname = current_database() AND pid <> pg_backend_pid() AND state = 'active' GROUP BY 1";
+            let mut connection = sqlx::PgConnection::connect(&url).await.unwrap();
+            let mut found = BTreeMap::new();
+            while ended.try_recv().is_err() {
+                let looked: Vec<(String, i64)> =
+                    sqlx::query_as(sql).fetch_all(&mut connection).await.unwrap();
+                for (doing, sessions) in looked {
+                    *found.entry(doing).or_default() += sessions;
+                }
+                tokio::time::sleep(LOOK).await;
+            }
+            found
+        });
+        Self { end, looks }
+    }
+
+    /// Shares of all that they did, the largest first.
+    async fn end(self) -> String {
+        self.end.send(()).unwrap();
+        let found = self.looks.await.unwrap();
+        let all: i64 = found.values().sum();
+        let mut found: Vec<(String, i64)> = found.into_iter().collect();
+        found.sort_by_key(|(_, sessions)| -sessions);
+        let share = |(doing, sessions): &(String, i64)| {
+            format!("{doing} {:.0} %", 100.0 * *sessions as f64 / all as f64)
+        };
+        found.iter().take(5).map(share).collect::<Vec<_>>().join(", ")
     }
 }
 

@@ -56,7 +56,7 @@ impl SceneTask {
             Self::Patches => 8,
             Self::Draw => 5,
             Self::Frame => 6,
-            Self::Import => 4,
+            Self::Import => 5,
             Self::Unwrap => 3,
         }
     }

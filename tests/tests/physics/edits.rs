@@ -20,8 +20,7 @@ const FEW_RECEIVERS: u32 = 1500;
 
 /// Labels of a bake's transport tasks with whether each took the result of one before.
 fn kept(rebaked: &Rebaked) -> Vec<(&str, bool)> {
-    let of_transport = rebaked.notes.iter().filter(|(label, _)| label.starts_with("cluster "));
-    of_transport.map(|(label, note)| (label.as_str(), note.starts_with("as before"))).collect()
+    kept_of(rebaked, "cluster ")
 }
 
 /// Receivers of tasks that ran though there were results of tasks alike: those traced, and all.
@@ -86,8 +85,13 @@ fn receivers_whose_rays_met_nothing_that_changed_are_not_traced_again() {
 
 /// Labels of a bake's tasks of probes with whether each took the result of one before.
 fn kept_fields(rebaked: &Rebaked) -> Vec<(&str, bool)> {
-    let of_fields = rebaked.notes.iter().filter(|(label, _)| label.starts_with("field "));
-    of_fields.map(|(label, note)| (label.as_str(), note.starts_with("as before"))).collect()
+    kept_of(rebaked, "field ")
+}
+
+/// The same of tasks whose labels begin so.
+fn kept_of<'a>(rebaked: &'a Rebaked, begin: &str) -> Vec<(&'a str, bool)> {
+    let wanted = rebaked.notes.iter().filter(|(label, _)| label.starts_with(begin));
+    wanted.map(|(label, note)| (label.as_str(), note.starts_with("as before"))).collect()
 }
 
 #[test]
@@ -103,7 +107,8 @@ fn so_are_those_of_a_cloud() {
 fn probes_of_before(kind: &'static str) {
     let progress = Progress::new();
     let mut recipe = small(kind, FEW_RECEIVERS).with("field_spacing_m", 0.75).with("probe_rays", 128);
-    recipe = recipe.with("field_rank_error", 0.1);
+    // Its things have the light of probes.
+    recipe = recipe.with("field_rank_error", 0.1).with("probe_lit_m", 1.5);
     let mut bakery = Bakery::new(&recipe, &progress);
     let mut of = Flat::default();
     let first = bakery.bake(flat(&of)).unwrap();
@@ -122,6 +127,8 @@ fn probes_of_before(kind: &'static str) {
     of.colours[0] = [0.1, 0.3, 0.7];
     let coloured = bakery.bake(flat(&of)).unwrap();
     assert!(kept_fields(&coloured).iter().all(|(_, kept)| *kept), "{:#?}", coloured.notes);
+    let lit = kept_of(&coloured, "cluster lit ");
+    assert!(!lit.is_empty() && lit.iter().all(|(_, kept)| *kept), "{:#?}", coloured.notes);
     assert_is_whole_bake(&of, &recipe, &coloured, "a colour changed");
     of.lamps = [[5.0, 7.0, 9.0], [3.0, 5.5, 0.5]];
     let relit = bakery.bake(flat(&of)).unwrap();

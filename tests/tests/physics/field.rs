@@ -310,6 +310,84 @@ fn sealed_box_is_dark(kind: &'static str) {
     }
 }
 
+/// Receivers of things that the recipe has lit by probes, of a scene whose largest such thing is smaller than that.
+fn receivers_of_things(held: &Held, below_m: f32) -> Vec<u32> {
+    let world = &held.world;
+    let is_small = |block: u32| {
+        let instance = world.lightmap.blocks[block as usize].instance;
+        world.geometry.scene.instances[instance as usize].size_m() < below_m
+    };
+    held.receivers(|receiver| is_small(receiver.block))
+}
+
+#[test]
+fn things_that_probes_light_have_nearly_the_light_of_paths_and_let_it_bounce() {
+    for kind in KINDS {
+        let lit_below_m = 3.9;
+        let recipe = small(kind, 400).with("probe_lit_m", lit_below_m);
+        let [by_probes, by_rays] =
+            [recipe, small(kind, 400)].map(|recipe| Held::new(scenes::cornell(), &recipe).unwrap());
+        let things = receivers_of_things(&by_probes, lit_below_m);
+        let count = by_probes.world.lightmap.receivers.len();
+        assert!(things.len() > count / 10 && things.len() < count / 2, "{} of {count}", things.len());
+        let lighting = lamp_at(Vec3::new(0.3, 3.0, -2.0));
+        let compared = |held: &Held, of: &[u32]| {
+            let found = held.under(&lighting).unwrap().compared(of, 0.03).unwrap();
+            let sums = found.iter().fold([0.0; 3], |[baked, wanted, squares], at| {
+                let square = (at.baked - at.reference).powi(2) - at.error.powi(2);
+                [baked + at.baked, wanted + at.reference, squares + square]
+            });
+            let [baked, wanted, squares] = sums;
+            let mean = wanted / found.len() as f64;
+            [(squares.max(0.0) / found.len() as f64).sqrt() / mean, baked / wanted]
+        };
+        let few = |of: &[u32]| of.iter().copied().step_by(of.len() / 120).collect::<Vec<_>>();
+        let [error, energy] = compared(&by_probes, &few(&things));
+        let [error_of_rays, _] = compared(&by_rays, &few(&things));
+        let others: Vec<u32> = (0..count as u32).filter(|receiver| !things.contains(receiver)).collect();
+        let [beside, energy_beside] = compared(&by_probes, &few(&others));
+        let [beside_rays, _] = compared(&by_rays, &few(&others));
+        println!(
+            "{kind}: {} receivers by probes, error {error:.3} (by rays {error_of_rays:.3}), energy {energy:.3}; \
+             others {beside:.3} (with things by rays {beside_rays:.3}), {energy_beside:.3}",
+            things.len()
+        );
+        assert!(error < 0.3, "{kind}: error {error}");
+        assert!((energy - 1.0).abs() < 0.06, "{kind}: energy {energy}");
+        assert!(
+            error > 1.5 * error_of_rays,
+            "{kind}: rays err by {error_of_rays}: the things had rays of their own"
+        );
+        assert!(beside < 1.2 * beside_rays + 0.005, "{kind}: {beside}, {beside_rays} with things by rays");
+        assert!((energy_beside - 1.0).abs() < 0.02, "{kind}: {energy_beside}");
+    }
+}
+
+#[test]
+fn box_in_a_sealed_one_is_exactly_dark_by_probes_and_a_furnace_stays_one_without_any_ray_of_its_own() {
+    for kind in KINDS {
+        let recipe = small(kind, 3000).with("probe_lit_m", 2.0);
+        let held = Held::new(scenes::sealed_box(0.1), &recipe).unwrap();
+        let lit = held.under(&only(LightKind::Sun { direction: [-0.5, -0.7, -0.5] }, 100.0)).unwrap();
+        let inner = receivers_of_things(&held, 2.0);
+        assert!(inner.len() > 30, "{} receivers on the inner box", inner.len());
+        for receiver in inner {
+            assert_eq!(lit.baked(receiver), glam::DVec3::ZERO, "{kind}: light on the inner box");
+        }
+        let albedo = 0.6;
+        let recipe = small(kind, 100).with("probe_lit_m", 100.0);
+        let held = Held::new(scenes::furnace(albedo, 1.0, 4.0), &recipe).unwrap();
+        let lit = held.under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }).unwrap();
+        let wanted = f64::from(PI / (1.0 - albedo));
+        let all = held.receivers(|_| true);
+        let sum: f64 = all.iter().map(|&receiver| luminance(lit.baked(receiver))).sum();
+        // By rays E_ind has the light of emitters too.
+        let mean = sum / all.len() as f64 / wanted;
+        println!("{kind}: a furnace by probes alone has {mean:.4} of what is wanted");
+        assert!((mean - 1.0).abs() < 0.01, "{kind}: {mean}");
+    }
+}
+
 #[test]
 fn fields_have_the_same_bytes_on_any_number_of_threads() {
     for kind in KINDS {

@@ -74,6 +74,18 @@ pub struct MeshInstance {
     pub triangles: Vec<[u32; 3]>,
     /// Place of the node, for tools that draw handles; positions above already include it.
     pub world_from_object: Mat4,
+    /// The file wants its indirect light from probes in free space, where a kind of bake has some.
+    pub is_lit_by_probes: bool,
+}
+
+impl MeshInstance {
+    /// Longest side of its bounds in metres; 0 without vertices.
+    pub fn size_m(&self) -> f32 {
+        let positions = || self.positions_m.iter().copied();
+        let low = positions().reduce(Vec3::min).unwrap_or_default();
+        let high = positions().reduce(Vec3::max).unwrap_or_default();
+        (high - low).max_element()
+    }
 }
 
 /// A material reduced to what diffuse transport needs (METHOD.md §1 "Materials and sides").

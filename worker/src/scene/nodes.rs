@@ -5,6 +5,7 @@ use std::rc::Rc;
 
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3};
 use gltf::json::{Index, Node};
+use serde::Deserialize;
 
 use super::Opening;
 use super::context::Context;
@@ -45,6 +46,7 @@ pub(super) fn flatten(
             parent_path: top.clone(),
             world_from_parent: DAffine3::IDENTITY,
             depth: 1,
+            is_lit_by_probes: false,
         });
     }
     // A list of its own instead of recursion: depth then costs no stack.
@@ -88,6 +90,8 @@ struct Pending {
     parent_path: Rc<str>,
     world_from_parent: DAffine3,
     depth: u64,
+    /// As its parent says.
+    is_lit_by_probes: bool,
 }
 
 struct Walk {
@@ -124,15 +128,20 @@ impl Walk {
         let path: Rc<str> =
             format!("{}{}/", here.parent_path, path_part(node.name.as_deref(), "node")).into();
         context.budgets.path_bytes.spend(path.len() as u64)?;
+        let is_lit_by_probes = is_lit_by_probes(context, node_index).unwrap_or(here.is_lit_by_probes);
         if let Some(mesh) = node.mesh {
             document::get(root, mesh, "mesh", || node_place(root, node_index))?;
+            let first = scene.instances.len();
             self.add_mesh(context, materials, scene, node_index, mesh.value(), &path, world_from_object)?;
+            let own = scene.instances.iter_mut().skip(first);
+            own.for_each(|instance| instance.is_lit_by_probes = is_lit_by_probes);
         }
         scene.cameras.extend(read_camera(context, node_index, world_from_object)?);
         scene.lights.extend(read_light(context, node_index, world_from_object)?);
         for &index in node.children.iter().flatten().rev() {
             let (parent_path, depth) = (path.clone(), here.depth + 1);
-            pending.push(Pending { index, parent_path, world_from_parent: world_from_object, depth });
+            let world_from_parent = world_from_object;
+            pending.push(Pending { index, parent_path, world_from_parent, depth, is_lit_by_probes });
         }
         Ok(())
     }
@@ -203,6 +212,7 @@ impl Walk {
                 colours: mesh_part.colours,
                 triangles: mesh_part.triangles,
                 world_from_object: DMat4::from(world_from_object).as_mat4(),
+                is_lit_by_probes: false,
             });
         }
         Ok(())
@@ -229,6 +239,33 @@ impl Walk {
 /// One part of an instance path; long names are cut so that deep trees stay small.
 fn path_part(name: Option<&str>, unnamed: &str) -> String {
     shown(name.filter(|name| !name.is_empty()).unwrap_or(unnamed))
+}
+
+/// Whether a node's extras have its meshes, and those of nodes below it, lit by probes, or by texels of their own; `None` if they do not
+/// say. Warns of other words.
+fn is_lit_by_probes(context: &mut Context<'_>, node_index: usize) -> Option<bool> {
+    #[derive(Deserialize)]
+    struct Wanted {
+        kiln_lit: Option<serde_json::Value>,
+    }
+    let root = context.root;
+    let extras = root.nodes[node_index].extras.as_ref()?;
+    // Extras are anything that people put there.
+    let wanted = serde_json::from_str::<Wanted>(extras.get()).ok()?.kiln_lit?;
+    match wanted.as_str() {
+        Some("probes") => Some(true),
+        Some("texels") => Some(false),
+        _ => {
+            context.warnings.add("lit-by-something-else", || {
+                let place = node_place(root, node_index);
+                format!(
+                    "{place} has \"kiln_lit\": {}; \"probes\" and \"texels\" are known",
+                    shown(&wanted.to_string())
+                )
+            });
+            None
+        }
+    }
 }
 
 /// Warns of a node whose transform is not quite as glTF has them.

@@ -129,6 +129,26 @@ pub struct PatchRow {
     pub importance: [Vec<f32>; 2],
 }
 
+impl PatchRow {
+    /// A row over such keys, patches' before the sky's, that is known exactly.
+    pub fn without_noise(keys: &[u64], alpha: Vec<f32>) -> Self {
+        let [of_all, of_part] = expectation::sky();
+        let common = keys.partition_point(|&key| PatchKey(key).sky().is_none());
+        let mut values = vec![0.0; keys.len() + 2];
+        for (column, (&key, &alpha)) in keys.iter().zip(&alpha).enumerate() {
+            if column < common {
+                values[column] = column_deviation(key) * alpha;
+                values[common] +=
+                    if PatchKey(key).is_difference() { 0.0 } else { expectation::common() * alpha };
+            } else {
+                values[column + 1] = of_part * alpha;
+                values[keys.len() + 1] += of_all * alpha;
+            }
+        }
+        Self { importance: [values, vec![0.0; keys.len() + 2]], alpha }
+    }
+}
+
 /// Sums hits, which it sorts, over the patches of the cut that suits all rows; without bounds over all leaves that were hit, for rows that
 /// are not truncated. `scale` is the value of a ray of weight 1, `texel_m` the texel's size in metres.
 pub fn patch_rows(

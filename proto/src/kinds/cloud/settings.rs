@@ -1,6 +1,6 @@
 //! Settings of a relightable bake with a field in tetrahedra.
 
-use crate::kinds::field::FieldSettings;
+use crate::kinds::field::{FieldSettings, LitSettings};
 use crate::kinds::prt::{self, PatchSettings};
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
@@ -38,6 +38,8 @@ kind_settings! {
         factors: FactorSettings,
         /// Probes in free space.
         field: FieldSettings,
+        /// Surfaces that have their light.
+        lit: LitSettings,
         /// Their fit and their places.
         cloud: CloudSettings,
     }

@@ -10,6 +10,8 @@ use crate::kinds::{SceneTasks, TaskKind};
 pub const PLAN: TaskKind = TaskKind { name: "cloud.plan", version: 5 };
 /// Some probes → their depth maps and factorised transport, as a chunk.
 pub const GATHER: TaskKind = TaskKind { name: "cloud.gather", version: 2 };
+/// Some receivers and the light of probes → the factors of surfaces that have the field's light.
+pub const LIT: TaskKind = TaskKind { name: "cloud.lit", version: 1 };
 /// Everything → manifest, directory and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "cloud.assemble", version: 1 };
 
@@ -17,6 +19,6 @@ pub const ASSEMBLE: TaskKind = TaskKind { name: "cloud.assemble", version: 1 };
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let prt::Settings { texels, place, .. } = settings.relightable();
     let shared = SceneTasks::of(scene).unwrapped(&texels).placed(&place).patched();
-    let rest = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW, GATHER, ASSEMBLE];
+    let rest = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW, GATHER, LIT, ASSEMBLE];
     PLAN.planned("clusters and probes", scene, settings, shared, &rest)
 }

@@ -1,6 +1,6 @@
 //! Settings of a relightable bake with a field on a lattice.
 
-use crate::kinds::field::FieldSettings;
+use crate::kinds::field::{FieldSettings, LitSettings};
 use crate::kinds::prt::{self, PatchSettings};
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
@@ -32,6 +32,8 @@ kind_settings! {
         factors: FactorSettings,
         /// Probes in free space.
         field: FieldSettings,
+        /// Surfaces that have their light.
+        lit: LitSettings,
         /// Where they stand.
         lattice: LatticeSettings,
     }

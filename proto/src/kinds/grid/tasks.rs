@@ -10,6 +10,8 @@ use crate::kinds::{SceneTasks, TaskKind};
 pub const PLAN: TaskKind = TaskKind { name: "grid.plan", version: 4 };
 /// Some probes → their depth maps and factorised transport, as a chunk.
 pub const GATHER: TaskKind = TaskKind { name: "grid.gather", version: 4 };
+/// Some receivers and the light of probes → the factors of surfaces that have the field's light.
+pub const LIT: TaskKind = TaskKind { name: "grid.lit", version: 1 };
 /// Everything → manifest, directory and report.
 pub const ASSEMBLE: TaskKind = TaskKind { name: "grid.assemble", version: 1 };
 
@@ -17,6 +19,6 @@ pub const ASSEMBLE: TaskKind = TaskKind { name: "grid.assemble", version: 1 };
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let prt::Settings { texels, place, .. } = settings.relightable();
     let shared = SceneTasks::of(scene).unwrapped(&texels).placed(&place).patched();
-    let rest = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW, GATHER, ASSEMBLE];
+    let rest = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW, GATHER, LIT, ASSEMBLE];
     PLAN.planned("clusters and probes", scene, settings, shared, &rest)
 }

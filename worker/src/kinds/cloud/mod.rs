@@ -1,7 +1,7 @@
 //! Kind `cloud`: a relightable bake with a field, light at probes that stand in free space, and tetrahedra between them.
 //!
-//! `cloud.plan` (all of `prt.plan`, probes, tetrahedra) → `prt.transport`, `prt.colour`, `prt.overview`, and `cloud.gather` by cell of
-//! probes → `cloud.assemble`.
+//! `cloud.plan` (all of `prt.plan`, probes, tetrahedra) → `prt.transport`, and `cloud.gather` by cell of probes → `cloud.lit` by cell of
+//! receivers that probes light → `prt.colour`, `prt.overview` → `cloud.assemble`.
 
 mod delaunay;
 mod placement;
@@ -32,6 +32,7 @@ impl BakeKind for Cloud {
         vec![
             TaskRow { name: tasks::PLAN.name, run: plan },
             TaskRow { name: tasks::GATHER.name, run: field::gather },
+            TaskRow { name: tasks::LIT.name, run: field::lit },
             TaskRow { name: tasks::ASSEMBLE.name, run: assemble },
         ]
     }
@@ -75,7 +76,9 @@ fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
         relightable: bake.settings.relightable(),
         field: &bake.settings.field,
         is_fitted: bake.settings.cloud.field_fit == 1,
+        lit_by_probes: &bake.settings.lit,
         gather: tasks::GATHER,
+        lit: tasks::LIT,
         assemble: (tasks::ASSEMBLE, json!(bake)),
         tetrahedra: Some(TETRAHEDRA),
     };

@@ -8,6 +8,7 @@ mod depth;
 mod evaluated;
 mod fit;
 mod gather;
+mod lit;
 mod looks;
 mod plan;
 mod readings;
@@ -33,6 +34,7 @@ pub use fit::{Around, Place as FitPlace, fitted_emitters, places as fit_places, 
 pub use gather::{
     Account, RAYS_OF_PLACE, run as gather, turn as uniform_turn, weights as irradiance_weights,
 };
+pub use lit::run as lit;
 pub use looks::{Place, is_free, is_inside, narrow_clearance_m, place};
 pub use plan::{FieldPlan, planned};
 pub use readings::{CLASSES, Reading};

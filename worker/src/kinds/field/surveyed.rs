@@ -25,6 +25,8 @@ pub struct Surveyed {
     pub cells: Vec<ClusterCell>,
     /// `probes`, `field-cells`, the chunk of tetrahedra and `placement`, counts, where there are some.
     artefacts: Vec<(String, Vec<u8>)>,
+    /// Role of the chunk of tetrahedra.
+    role: Option<&'static str>,
 }
 
 impl Surveyed {
@@ -45,7 +47,7 @@ impl Surveyed {
                 survey.account.iter().map(|(name, count)| (name, *count)).collect();
             artefacts.push((PLACEMENT_ARTEFACT.to_owned(), json!(account).to_string().into_bytes()));
         }
-        Ok(Self { survey, cells, artefacts })
+        Ok(Self { survey, cells, artefacts, role: tetrahedra })
     }
 
     fn input(&self, name: &str, which: usize) -> TaskInput {
@@ -55,6 +57,13 @@ impl Surveyed {
     /// Inputs of tasks of probes: probes and cells.
     pub fn inputs_of_gather(&self) -> [TaskInput; 2] {
         [self.input(PROBES_ARTEFACT, 0), self.input(CELLS_ARTEFACT, 1)]
+    }
+
+    /// The chunk of tetrahedra as an input, where there is one.
+    pub fn tetrahedra(&self) -> Option<TaskInput> {
+        let is_it = |(name, _): &&(String, Vec<u8>)| Some(&name[..]) == self.role;
+        let found = self.artefacts.iter().find(is_it);
+        found.map(|(name, bytes)| TaskInput::Artefact { name: name.clone(), digest: Digest::of(bytes) })
     }
 
     /// Inputs of assemble: all but the cells.

@@ -1,7 +1,7 @@
 //! Kind `grid`: a relightable bake with a field, light at probes in free space on a lattice (METHOD.md §2.13).
 //!
-//! `grid.plan` (all of `prt.plan`, probes) → `prt.transport`, `prt.colour`, `prt.overview`, and `grid.gather` by cell of probes →
-//! `grid.assemble`.
+//! `grid.plan` (all of `prt.plan`, probes) → `prt.transport`, and `grid.gather` by cell of probes → `grid.lit` by cell of receivers that probes
+//! light → `prt.colour`, `prt.overview` → `grid.assemble`.
 
 mod cells;
 mod standing;
@@ -32,6 +32,7 @@ impl BakeKind for Grid {
         vec![
             TaskRow { name: tasks::PLAN.name, run: plan },
             TaskRow { name: tasks::GATHER.name, run: field::gather },
+            TaskRow { name: tasks::LIT.name, run: field::lit },
             TaskRow { name: tasks::ASSEMBLE.name, run: assemble },
         ]
     }
@@ -74,7 +75,9 @@ fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
         relightable: bake.settings.relightable(),
         field: &bake.settings.field,
         is_fitted: bake.settings.lattice.field_fit == 1,
+        lit_by_probes: &bake.settings.lit,
         gather: tasks::GATHER,
+        lit: tasks::LIT,
         assemble: (tasks::ASSEMBLE, json!(bake)),
         tetrahedra: None,
     };

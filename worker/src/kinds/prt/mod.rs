@@ -32,9 +32,9 @@ use crate::transport::{self as shared, DEAD_PATH_TEXELS};
 pub(super) use assemble::Assembled;
 pub(super) use evaluated::evaluated_of;
 use near::NearHit;
-pub(super) use plan::{Planned, is_read_by_transport, planned};
+pub(super) use plan::{cells_of, is_read_by_transport, planned};
 use rows::{KeptRows, Known};
-pub(super) use transport::quantisation_error;
+pub(super) use transport::{KnownRow, of_known_rows, quantisation_error};
 use truncate::NamedPiece;
 
 /// The kind's row.
@@ -177,7 +177,8 @@ impl PatchTransport {
         let found = gather::trace(self, &cell.receivers, known, Detail::AsBaked, progress)?;
         let cavity_m = DEAD_PATH_TEXELS * self.world.lightmap.texel_m;
         let index = CellIndex::of(found.rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
-        let pieces = truncate::pieces(self, &found.keys, cell, &found.rows, progress)?;
+        let pieces =
+            truncate::pieces((&self.world, &self.settings), &found.keys, cell, &found.rows, progress)?;
         Ok(Recorded { pieces, index, record: found.record, traced: found.traced })
     }
 }

@@ -1,6 +1,7 @@
 //! Task `prt.plan`: the chunk of patches, cluster cells, tasks of rays and of colours for each, the overview, and assemble; and the
 //! manifest as far as it is known, for whoever follows the bake.
 
+use glam::Vec3;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
 use lightkiln_proto::kinds::OUTLINE_OUTPUT;
@@ -13,8 +14,8 @@ use super::colourless::TRANSPORT_INPUT;
 use super::{BakeParams, TracedSettings, TransportParams};
 use crate::assemble::{self, KindPart};
 use crate::emitters::EmitterSet;
-use crate::factors::{CELLS_ARTEFACT, cell_names, cells, encoded_cells};
-use crate::lightmap::World;
+use crate::factors::{CELLS_ARTEFACT, ClusterCell, cell_names, cells, encoded_cells};
+use crate::lightmap::{Lightmap, World};
 use crate::patches::{self, PatchTree};
 use crate::reads::{Common, STAGE_ARTEFACT, alike};
 use crate::scene::model::Scene;
@@ -31,67 +32,96 @@ pub struct Planned {
     pub artefacts: Vec<(String, Vec<u8>)>,
     /// What all tasks of rays depend on.
     pub common: Common,
-    /// Tasks of rays and of colours, and the overview.
-    pub tasks: Vec<TaskSpec>,
-    /// Inputs of assemble, beside the outputs of the scene tasks.
-    pub results: Vec<TaskInput>,
+    /// Tasks of rays, or of whatever else gives clusters without colours.
+    rays: Vec<TaskSpec>,
+    /// Tasks of their colours.
+    colours: Vec<TaskSpec>,
 }
 
 /// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`, `outline`.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
-    let Planned { mut artefacts, tasks: mut plan, results, .. } = planned(context, &bake.settings)?;
+    let (world, tree) = (World::of(context)?, PatchTree::of(context)?);
+    let all: Vec<u32> = (0..world.lightmap.receivers.len() as u32).collect();
+    let planned = planned(context, &bake.settings, &all)?;
+    let (mut plan, results) = planned.tasks();
+    let mut artefacts = planned.artefacts;
     let inputs = context.as_inputs(|_| true).into_iter().chain(results).collect();
     plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
-    let (world, tree) = (World::of(context)?, PatchTree::of(context)?);
     let patch_set = artefacts.iter().find(|(name, _)| name == PATCH_SET).map_or(&[][..], |(_, bytes)| bytes);
     let outline = outline(context, &bake, &world.geometry.scene, &tree, patch_set)?;
     artefacts.push((OUTLINE_OUTPUT.to_owned(), outline));
     Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
 }
 
-/// The tasks over the outputs of all scene tasks, which are a context's inputs.
-pub fn planned(context: &Context, settings: &Settings) -> Result<Planned, TaskError> {
+/// The tasks over the outputs of all scene tasks, which are a context's inputs, for some receivers, ascending.
+pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Result<Planned, TaskError> {
     let traced = TracedSettings::from(settings);
     let world = World::of(context)?;
     let tree = PatchTree::of(context)?;
     let emitters = EmitterSet::of(context, &world.geometry)?;
-    let cells = cells(&world.lightmap.positions_m(), settings.factors.cluster_receivers);
+    let cells = cells_of(&world.lightmap, receivers, settings);
     let (common, stage) = Common::of(&world, &tree, &emitters, &(tasks::TRANSPORT.version, &traced));
     let own = [
         (CELLS_ARTEFACT, encoded_cells(&cells)?),
         (STAGE_ARTEFACT, stage.encoded()?),
         (PATCH_SET, patches::encoded(&tree, &world.lightmap, settings.patches.sky_parts)?),
     ];
-    let input = |(name, bytes): &(&str, Vec<u8>)| TaskInput::Artefact {
-        name: (*name).into(),
-        digest: Digest::of(bytes),
-    };
-
     let names: Vec<Digest> =
         cells.par_iter().map(|cell| alike(&world, &common, &cell.bounds_m, &cell.receivers)).collect();
-    let (mut rays, mut colours) = (Vec::new(), Vec::new());
+    let artefacts: Vec<_> = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
+    let mut planned = Planned { artefacts, common, rays: Vec::new(), colours: Vec::new() };
     for (cluster, ((cell, label), name)) in cells.iter().zip(cell_names(&cells)).zip(names).enumerate() {
         let cost = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
         let mut inputs = context.as_inputs(is_read_by_transport);
-        inputs.extend(own[..2].iter().map(input));
+        inputs.extend([CELLS_ARTEFACT, STAGE_ARTEFACT].map(|name| planned.input(name)));
         let of_cell = json!(TransportParams { cluster, settings: traced.clone() });
-        let label = format!("cluster {label}");
         let cost = RAYS_PER_RAY * cost / 1000;
-        let transport = tasks::TRANSPORT.task(label.clone(), of_cell, inputs, cost).alike(name);
+        let transport = tasks::TRANSPORT.task(format!("cluster {label}"), of_cell, inputs, cost).alike(name);
+        planned.add(context, transport, cell.receivers.len());
+    }
+    Ok(planned)
+}
+
+/// Cells of some receivers, ascending.
+pub fn cells_of(lightmap: &Lightmap, receivers: &[u32], settings: &Settings) -> Vec<ClusterCell> {
+    let positions_m: Vec<Vec3> =
+        receivers.iter().map(|&receiver| lightmap.receivers[receiver as usize].position_m).collect();
+    let mut cells = cells(&positions_m, settings.factors.cluster_receivers);
+    for place in cells.iter_mut().flat_map(|cell| &mut cell.receivers) {
+        *place = receivers[*place as usize];
+    }
+    cells
+}
+
+impl Planned {
+    /// An artefact of the plan as an input.
+    pub fn input(&self, name: &str) -> TaskInput {
+        let bytes =
+            self.artefacts.iter().find(|(other, _)| other == name).map_or(&[][..], |(_, bytes)| bytes);
+        TaskInput::Artefact { name: name.into(), digest: Digest::of(bytes) }
+    }
+
+    /// Adds a task whose outputs are those of `prt.transport`, of so many receivers, and that of its colours.
+    pub fn add(&mut self, context: &Context, transport: TaskSpec, receivers: usize) {
         let mut inputs = context.as_inputs(is_read_by_colour);
         inputs.push(TaskInput::Task { name: TRANSPORT_INPUT.into(), key: transport.key });
-        colours.push(tasks::COLOUR.task(label, Value::Null, inputs, cell.receivers.len() as u64 / 1000 + 1));
-        rays.push(transport);
+        let cost = receivers as u64 / 1000 + 1;
+        self.colours.push(tasks::COLOUR.task(transport.label.clone(), Value::Null, inputs, cost));
+        self.rays.push(transport);
     }
-    let mut results = vec![input(&own[2])];
-    results.extend(crate::task::results_of(&colours));
-    let cost = world.lightmap.receivers.len() as u64 / 100 + 1;
-    let overview = tasks::OVERVIEW.task(OVERVIEW, Value::Null, results.clone(), cost);
-    results.extend(crate::task::results_of(std::slice::from_ref(&overview)));
-    let tasks = rays.into_iter().chain(colours).chain([overview]).collect();
-    let artefacts = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
-    Ok(Planned { artefacts, common, tasks, results })
+
+    /// All tasks, the overview among them, and the inputs of assemble beside the outputs of the scene tasks.
+    pub fn tasks(&self) -> (Vec<TaskSpec>, Vec<TaskInput>) {
+        let mut results = vec![self.input(PATCH_SET)];
+        results.extend(crate::task::results_of(&self.colours));
+        // Those of colours take a thousandth of their receivers each, and one more.
+        let cost = 10 * self.colours.iter().map(|task| task.cost).sum::<u64>() + 1;
+        let overview = tasks::OVERVIEW.task(OVERVIEW, Value::Null, results.clone(), cost);
+        results.extend(crate::task::results_of(std::slice::from_ref(&overview)));
+        let tasks = self.rays.iter().chain(&self.colours).chain([&overview]).cloned().collect();
+        (tasks, results)
+    }
 }
 
 /// The manifest of a bake that has no clusters yet.

@@ -3,15 +3,18 @@
 
 use lightkiln_proto::chunk::QuantisationSettings;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
+use lightkiln_proto::kinds::prt::Settings;
 
 use super::colourless::{self, Colourless};
 use super::rows::{KeptRows, Known, ROWS_ARTEFACT, RowLimits};
-use super::truncate::NamedPiece;
+use super::truncate::{self, NamedPiece};
 use super::{PatchTransport, Recorded, TracedSettings, TransportParams};
 use crate::emitters::Radiance;
-use crate::factors::{CellIndex, Piece, cell_of_task, encoded};
+use crate::factors::{CellIndex, ClusterCell, Piece, cell_of_task, encoded};
+use crate::lightmap::World;
 use crate::reads::{Changes, RECORD_ARTEFACT, Record, Stage, of_before, outputs_of_before};
-use crate::task::{Context, TaskError, TaskOutput, params};
+use crate::task::{Context, Progress, TaskError, TaskOutput, params};
+use crate::transport::{DEAD_PATH_TEXELS, Row};
 
 /// Error of quantisation as a share of that of truncation: numbers of few bits cost less than ranks, whose loss shows as steps between
 /// clusters.
@@ -92,6 +95,32 @@ fn known(
         }
     }
     Ok(all)
+}
+
+/// A receiver's row that is known without any ray, and without noise.
+pub struct KnownRow {
+    /// The part that every kind has.
+    pub shared: Row,
+    /// As in [`PatchRow::importance`].
+    ///
+    /// [`PatchRow::importance`]: crate::transport::PatchRow::importance
+    pub importance: [Vec<f32>; 2],
+}
+
+/// Outputs `cluster/N` and `index` of a cell whose receivers' rows over such keys are known.
+pub fn of_known_rows(
+    world: &World,
+    settings: &Settings,
+    (keys, rows): (&[u64], Vec<KnownRow>),
+    cell: &ClusterCell,
+    progress: &Progress,
+) -> Result<TaskOutput, TaskError> {
+    let row = |KnownRow { shared, importance }| super::Row { shared, importance, ..super::Row::default() };
+    let (rows, settings) = (rows.into_iter().map(row).collect::<Vec<_>>(), TracedSettings::from(settings));
+    let cavity_m = DEAD_PATH_TEXELS * world.lightmap.texel_m;
+    let index = CellIndex::of(rows.iter().map(|row| (&row.shared, row.is_dead())), cavity_m);
+    let pieces = truncate::pieces((world, &settings), keys, cell, &rows, progress)?;
+    colourless(pieces, quantisation(&settings), index)
 }
 
 /// Outputs `cluster/N` and `index`.

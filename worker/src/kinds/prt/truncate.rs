@@ -4,7 +4,7 @@ use glam::Vec3;
 use lightkiln_proto::content::{BlockKey, Texel, TransportFactors};
 
 use super::near::{self, NearHit};
-use super::{PatchTransport, Row, TracedSettings};
+use super::{Row, TracedSettings};
 use crate::factors::{ClusterCell, Factored, Part, PatchMatrix, Piece, Truncation, split};
 use crate::lightmap::{Numbering, World};
 use crate::task::{Cancelled, Progress};
@@ -26,15 +26,15 @@ pub type NamedPiece = (Piece, Vec<(BlockKey, Texel)>);
 
 /// Factorised clusters of a cell, in a fixed order.
 pub fn pieces(
-    transport: &PatchTransport,
+    (world, settings): (&World, &TracedSettings),
     keys: &[u64],
     cell: &ClusterCell,
     rows: &[Row],
     progress: &Progress,
 ) -> Result<Vec<NamedPiece>, Cancelled> {
     let own = Cell {
-        world: &transport.world,
-        settings: &transport.settings,
+        world,
+        settings,
         keys,
         receivers: Numbering::of(cell.receivers.iter().copied()),
         rows,

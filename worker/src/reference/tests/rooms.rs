@@ -40,6 +40,7 @@ impl Room {
             colours: Vec::new(),
             triangles,
             world_from_object: glam::Mat4::IDENTITY,
+            is_lit_by_probes: false,
         });
         self.scene.materials.push(Material {
             name: String::new(),

@@ -264,3 +264,21 @@ fn cameras_ignore_scale_and_keep_both_projections() {
     assert_eq!((second.name.as_str(), second.orthographic_half_height_m), ("plan", Some(2.5)));
     assert!(codes(&imported).contains(&"camera-skipped"));
 }
+
+#[test]
+fn extras_say_what_lights_a_node_and_all_below_it() {
+    let mut document = Document::triangle_with_normals();
+    document.json["nodes"] = json!([
+        {"children": [1, 2, 3], "extras": {"kiln_lit": "probes", "other": [1, {}]}},
+        {"mesh": 0},
+        {"mesh": 0, "translation": [1, 0, 0], "extras": {"kiln_lit": "texels"}},
+        {"mesh": 0, "translation": [2, 0, 0], "extras": {"kiln_lit": ["candles"]}},
+        {"mesh": 0, "translation": [3, 0, 0], "extras": 7},
+    ]);
+    document.json["scenes"] = json!([{"nodes": [0, 4]}]);
+    let imported = document.import().unwrap();
+    let lit: Vec<bool> = imported.scene.instances.iter().map(|instance| instance.is_lit_by_probes).collect();
+    assert_eq!(lit, [true, false, true, false]);
+    assert_eq!(codes(&imported), ["lit-by-something-else"]);
+    assert!(imported.warnings[0].message.contains(r#""kiln_lit": ["candles"]"#), "{:?}", imported.warnings);
+}
