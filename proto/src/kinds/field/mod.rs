@@ -30,7 +30,7 @@ pub use lattice::{LatticeTable, NO_PROBE};
 pub use mesh_chunk::{MESH, ROW as MESH_ROW, TETRAHEDRA_MAX, decode_tetrahedra, encode_tetrahedra};
 pub use octahedron::{MAP_POINTS, MAP_SIDE, map_direction, map_points, octahedral_length};
 pub use settings::{FieldSettings, LitSettings};
-pub use table::{Between, FieldTable};
+pub use table::{Between, FieldTable, normalised};
 pub use tetrahedra::{CORNERS, NONE as NO_TETRAHEDRON, TetrahedraTable, TetrahedronSet};
 
 /// Role of the chunks of probes.

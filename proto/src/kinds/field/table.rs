@@ -217,7 +217,7 @@ impl FieldTable {
     }
 
     /// Likewise of a wider surrounding.
-    fn wide(&self, point_m: Vec3) -> Vec<(u32, f32)> {
+    pub fn wide(&self, point_m: Vec3) -> Vec<(u32, f32)> {
         match &self.between {
             Between::Lattice(lattice) => lattice.around(point_m / self.spacing_m, -1..3, 2.0),
             Between::Tetrahedra(tetrahedra) => tetrahedra.wide(point_m),
@@ -252,7 +252,7 @@ impl FieldTable {
 }
 
 /// Weights that add up to 1; none where they are next to nothing.
-fn normalised(weights: impl Iterator<Item = (u32, f32)>) -> Vec<(u32, f32)> {
+pub fn normalised(weights: impl Iterator<Item = (u32, f32)>) -> Vec<(u32, f32)> {
     let mut found: Vec<(u32, f32)> = weights.filter(|(_, weight)| *weight > 0.0).collect();
     let sum: f32 = found.iter().map(|(_, weight)| weight).sum();
     if sum < WEIGHT_MIN {

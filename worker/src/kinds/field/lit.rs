@@ -11,7 +11,7 @@ use lightkiln_proto::harmonics::ShBasis;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 use lightkiln_proto::kinds::field::{
-    FieldPart, FieldTable, LitSettings, PROBE_ROWS, decode_field, decode_tetrahedra,
+    FieldPart, FieldTable, LitSettings, PROBE_ROWS, decode_field, decode_tetrahedra, normalised,
 };
 use lightkiln_proto::kinds::prt::Settings;
 use lightkiln_proto::relight::PatchTable;
@@ -150,7 +150,8 @@ fn kept(context: &Context, stage: &Stage, field: Digest) -> Result<Option<TaskOu
 }
 
 /// Probes that a receiver's light comes from, and their weights: of those around its place, the ones that a ray from there meets; where it meets
-/// none, those that depth maps give. Marks the `trail` of the rays that tell.
+/// none, of those around these; none where no probe is in sight, as in a drawer, which depth maps take for the room. Marks the `trail` of the rays
+/// that tell.
 fn weights(world: &World, table: &FieldTable, receiver: u32, trail: &Trail) -> Vec<(u32, f32)> {
     let geometry = &world.geometry;
     let of = &world.lightmap.receivers[receiver as usize];
@@ -161,13 +162,9 @@ fn weights(world: &World, table: &FieldTable, receiver: u32, trail: &Trail) -> V
         from.mark(probe_m - at_m, Some(1.0));
         !geometry.tracer.is_occluded(probe_m, at_m)
     };
-    let mut seen: Vec<(u32, f32)> = table.cage(at_m).into_iter().filter(is_seen).collect();
-    let sum: f32 = seen.iter().map(|(_, weight)| weight).sum();
-    if sum < 1e-4 {
-        return table.weights(at_m);
-    }
-    seen.iter_mut().for_each(|(_, weight)| *weight /= sum);
-    seen
+    let seen = |probes: Vec<(u32, f32)>| normalised(probes.into_iter().filter(is_seen));
+    let near = seen(table.cage(at_m));
+    if near.is_empty() { seen(table.wide(at_m)) } else { near }
 }
 
 /// The place at which a surface reads its light: as far off it as [`FieldTable::raised`] has it, or half of the way to what stands before it.
