@@ -4,6 +4,7 @@
 use glam::Vec3;
 
 use super::Receiver;
+use super::raised::Raised;
 use super::world::{Found, LINKED_RINGS, Surface, World, link_height_m};
 
 /// Farthest that a hit on a receiver's texel is expected from it, along each axis, in the scene's finest texels.
@@ -17,7 +18,7 @@ impl World {
         let at = [place.x, place.y].map(|texel| texel.floor() as i32);
         let about = |[x, y]: [i32; 2], by: i32| [[x - by, y - by], [x + by, y + by]];
         let Surface::Receiver(own) = found.own else { return Some((block, about(at, 1))) };
-        let texel = self.lightmap.receivers[own as usize].texel.map(i32::from);
+        let texel = self.raised[own as usize].texel.map(i32::from);
         let looked_at = about(texel, if found.linked == found.own { 1 } else { LINKED_RINGS });
         let beside = about(at, i32::from(texel != at));
         let low = [0, 1].map(|axis| looked_at[0][axis].min(beside[0][axis]));
@@ -29,7 +30,7 @@ impl World {
     /// texels from it along each axis. All of one receiver lie in [`World::bounds_at_hand`], and the texels around its own tell what stands for them.
     pub fn at_hand(&self, found: &Found, point_m: Vec3) -> Option<u32> {
         let Surface::Receiver(own) = found.own else { return None };
-        let from_m = (point_m - self.raised_m[own as usize]).abs();
+        let from_m = (point_m - self.raised_receiver(own)).abs();
         let is_at_hand = found.is_on_texel
             && found.linked == found.own
             && from_m.max_element() <= AT_HAND_TEXELS * self.lightmap.texel_m;
@@ -38,7 +39,7 @@ impl World {
 
     /// Bounds of all that is looked at to link any hit that is at hand of a receiver.
     pub fn bounds_at_hand(&self, receiver: u32) -> [Vec3; 2] {
-        let (texel_m, own_m) = (self.lightmap.texel_m_of(receiver), self.raised_m[receiver as usize]);
+        let Raised { at_m: own_m, texel_m, .. } = self.raised[receiver as usize];
         // Lifts may double from one shell of a scene to the next.
         let about_m = 2.0 * (link_height_m(texel_m) + self.geometry.tracer.ray_offset_m(own_m));
         let reach_m = AT_HAND_TEXELS * self.lightmap.texel_m + about_m;
@@ -48,9 +49,8 @@ impl World {
     /// Bounds of all that is looked at to link a hit: of the raised points of hit and receivers, and above the hit.
     pub fn bounds_of_linking(&self, found: &Found, point_m: Vec3) -> [Vec3; 2] {
         let Surface::Receiver(own) = found.own else { return [point_m, point_m] };
-        let texel_m = self.lightmap.texel_m_of(own);
+        let Raised { at_m: own_m, texel_m, .. } = self.raised[own as usize];
         let about_m = 2.0 * link_height_m(texel_m) + self.geometry.tracer.ray_offset_m(point_m);
-        let own_m = self.raised_m[own as usize];
         let mut bounds_m = [own_m.min(point_m - about_m), own_m.max(point_m + about_m)];
         if found.linked != found.own {
             let Receiver { block, texel, .. } = self.lightmap.receivers[own as usize];
@@ -58,7 +58,7 @@ impl World {
             let ring = -LINKED_RINGS..=LINKED_RINGS;
             for (dx, dy) in ring.clone().flat_map(|dx| ring.clone().map(move |dy| (dx, dy))) {
                 if let Some(other) = self.receiver_on(block, x + dx, y + dy) {
-                    let other_m = self.raised_m[other as usize];
+                    let other_m = self.raised_receiver(other);
                     bounds_m = [bounds_m[0].min(other_m), bounds_m[1].max(other_m)];
                 }
             }

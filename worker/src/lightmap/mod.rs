@@ -9,6 +9,7 @@ mod linking_reads;
 mod numbering;
 pub mod place;
 mod polygon;
+mod raised;
 mod texel_points;
 mod texel_table;
 mod tiles;

@@ -4,10 +4,10 @@ use std::sync::{Arc, OnceLock};
 
 use glam::{Vec2, Vec3};
 use lightkiln_proto::content::{BlockKey, COVERAGE_POINTS, COVERAGE_SIDE, LINKS};
-use rayon::prelude::*;
 
 use super::clearance::{Axis, Clearance};
 use super::place::seen;
+use super::raised::Raised;
 use super::texel_points::TexelTriangles;
 use super::texel_table::TexelTable;
 use super::{CAVITY, Charts, Lightmap, Receiver, Tiles};
@@ -67,8 +67,8 @@ pub struct World {
     /// Blocks and receivers.
     pub lightmap: Lightmap,
     texels: TexelTable,
-    /// Points of receivers, raised, see [`World::raised_receiver`].
-    pub(super) raised_m: Vec<Vec3>,
+    /// Of each receiver what every hit on it reads.
+    pub(super) raised: Vec<Raised>,
     /// Receivers whose light others take, each with one that takes it and has points of its own; ascending.
     sharers: Vec<[u32; 2]>,
     /// Of each receiver which hits on its texel ask for no wall. Found one by one when first asked for, and without other
@@ -88,13 +88,7 @@ impl World {
     pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap, progress: &Progress) -> Self {
         let texels = TexelTable::new(&geometry.scene, charts);
         let receivers = &lightmap.receivers;
-        let raised_m = receivers
-            .par_iter()
-            .map(|receiver| {
-                let height_m = link_height_m(lightmap.blocks[receiver.block as usize].texel_m);
-                progress.casting(|| geometry.raised(receiver.position_m, receiver.face_normal, height_m))
-            })
-            .collect();
+        let raised = Raised::of_all(&geometry, &lightmap, progress);
         let with_points = |&[lender, own]: &[u32; 2]| lender != own && receivers[own as usize].coverage != 0;
         let mut sharers: Vec<[u32; 2]> =
             receivers.iter().zip(0..).map(|(own, index)| [own.light_of, index]).filter(with_points).collect();
@@ -102,7 +96,7 @@ impl World {
         let open_about = receivers.iter().map(|_| OnceLock::new()).collect();
         let texel_triangles = OnceLock::new();
         let tiles = Tiles::of(&lightmap);
-        Self { geometry, lightmap, texels, raised_m, sharers, open_about, tiles, texel_triangles }
+        Self { geometry, lightmap, texels, raised, sharers, open_about, tiles, texel_triangles }
     }
 
     /// A receiver's texel is whole, as are its eight neighbours, and all are linked to it: a wall that reaches between the
@@ -234,9 +228,9 @@ impl World {
     /// Where the room above a receiver's texel is.
     fn axis_of(&self, receiver: u32) -> Axis {
         let Receiver { position_m, face_normal, .. } = self.lightmap.receivers[receiver as usize];
-        let texel_m = self.lightmap.texel_m_of(receiver);
+        let Raised { at_m: raised_m, texel_m, .. } = self.raised[receiver as usize];
         Axis {
-            raised_m: self.raised_m[receiver as usize],
+            raised_m,
             normal: face_normal,
             texel_m,
             height_m: link_height_m(texel_m),
@@ -249,7 +243,7 @@ impl World {
     fn linked_around(&self, hit: &Hit, point_m: Vec3, own: u32) -> [Surface; 2] {
         let height_m = link_height_m(self.lightmap.texel_m_of(own));
         let from_m = self.geometry.raised(point_m, self.geometry.side_normal(hit), height_m);
-        let raised_m = |receiver: u32| self.raised_m[receiver as usize];
+        let raised_m = |receiver: u32| self.raised_receiver(receiver);
         let linked = |receiver: u32| self.is_linked(from_m, raised_m(receiver));
         if let Some(found) = self.nearest_around(point_m, own, linked) {
             return [Surface::Receiver(found); 2];
@@ -343,7 +337,7 @@ impl World {
 
     /// Point of a receiver, raised as [`Geometry::raised`] does by [`link_height_m`] of its texel.
     pub fn raised_receiver(&self, receiver: u32) -> Vec3 {
-        self.raised_m[receiver as usize]
+        self.raised[receiver as usize].at_m
     }
 
     /// A point on a block, raised as its receivers are.

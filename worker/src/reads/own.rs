@@ -10,7 +10,7 @@ use crate::geometry::{OwnBits, Trail};
 use crate::lightmap::{Found, World};
 
 /// Receivers that are remembered, a power of two. More → fewer parts noted twice, more to clear for each group.
-const REMEMBERED: usize = 2048;
+const REMEMBERED: usize = 8192;
 
 /// Cells, tiles and whether a ray left the scene.
 pub struct Reads<'a> {
