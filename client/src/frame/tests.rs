@@ -138,6 +138,37 @@ fn adapter_says_without_a_wait_when_bounces_have_converged() {
     }
 }
 
+/// How many frames it takes until other lights are seen: as the window goes, a bounce for each picture.
+#[test]
+#[ignore = "needs a graphics adapter"]
+fn adapter_shows_other_lights_in_the_next_frame_and_nearly_all_of_their_bounce() {
+    let gpu = Gpu::open().unwrap();
+    let bake = fixture::prt_bake(&fixture::prt_contents());
+    let mut frame = Frame::new(&gpu, &bake, room(), view_of(&bake).camera).unwrap();
+    let sum = |a: &[Vec4], b: &[Vec4]| {
+        a.iter().zip(b).map(|(a, b)| (*a - *b).truncate().abs().element_sum()).sum::<f32>()
+    };
+    let [before, after] =
+        [&["point pos=1,1.5,1 power=20"], &["sun dir=0.3,-0.8,0.4 irradiance=3"]].map(|of| lights(of));
+    frame.set_lights(&before).unwrap();
+    frame.settle(LIMIT).unwrap();
+    let old = drawn(&mut frame);
+    frame.set_lights(&after).unwrap();
+    let pictures: Vec<Vec<Vec4>> = (0..3)
+        .map(|_| {
+            frame.advance().unwrap();
+            drawn(&mut frame)
+        })
+        .collect();
+    frame.settle(LIMIT).unwrap();
+    let settled = drawn(&mut frame);
+    let all = sum(&old, &settled);
+    let left: Vec<f32> = pictures.iter().map(|picture| sum(picture, &settled) / all).collect();
+    println!("of the change of the picture {left:?} is left after one, two and three frames");
+    assert!(all > 0.1 * sum(&settled, &vec![Vec4::ZERO; settled.len()]), "the lights are alike: {all}");
+    assert!(left[0] < 0.1 && left[1] < 0.03, "{left:?}");
+}
+
 #[test]
 #[ignore = "needs a graphics adapter"]
 fn adapter_refuses_lights_beyond_the_room_and_keeps_those_it_has() {
