@@ -6,6 +6,7 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
 use lightkiln_proto::kinds::field::{self, FieldTable};
 use lightkiln_proto::kinds::{cloud, grid};
+use lightkiln_proto::manifest::CLUSTERS;
 use lightkiln_proto::scene::LightKind;
 use lightkiln_tests::harness::{self, Held, Lit, Recipe, bake};
 use lightkiln_tests::scenes;
@@ -376,9 +377,9 @@ fn box_in_a_sealed_one_is_exactly_dark_by_probes_and_a_furnace_stays_one_without
         }
         let albedo = 0.6;
         let recipe = small(kind, 100).with("probe_lit_m", 100.0);
-        let held = Held::new(scenes::furnace(albedo, 1.0, 4.0), &recipe).unwrap();
+        let held = Held::new(scenes::furnace(albedo, 3.0, 4.0), &recipe).unwrap();
         let lit = held.under(&Lighting { emitter_scale: 1.0, ..Lighting::default() }).unwrap();
-        let wanted = f64::from(PI / (1.0 - albedo));
+        let wanted = f64::from(3.0 * PI / (1.0 - albedo));
         let all = held.receivers(|_| true);
         let sum: f64 = all.iter().map(|&receiver| luminance(lit.baked(receiver))).sum();
         // By rays E_ind has the light of emitters too.
@@ -391,11 +392,12 @@ fn box_in_a_sealed_one_is_exactly_dark_by_probes_and_a_furnace_stays_one_without
 #[test]
 fn fields_have_the_same_bytes_on_any_number_of_threads() {
     for kind in KINDS {
+        // Its boxes have the light of probes.
+        let recipe = small(kind, 60).with("field_fit", 1).with("probe_lit_m", 3.9);
         let field = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let baked =
-                pool.install(|| bake(scenes::cornell(), &small(kind, 60).with("field_fit", 1)).unwrap());
-            [field::FIELD, cloud::TETRAHEDRA].map(|role| baked.manifest.chunks(role).to_vec())
+            let baked = pool.install(|| bake(scenes::cornell(), &recipe).unwrap());
+            [field::FIELD, cloud::TETRAHEDRA, CLUSTERS].map(|role| baked.manifest.chunks(role).to_vec())
         };
         let one = field(1);
         assert!(!one[0].is_empty() && one[1].is_empty() == (kind == grid::NAME), "{kind}");

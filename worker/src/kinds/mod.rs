@@ -220,6 +220,8 @@ pub struct FirstTasks<'a, P> {
     pub run: &'a [&'a str],
     /// Name of the task that is left out and whose inputs the evaluation reads, such as the kind's transport.
     pub up_to: &'a str,
+    /// Name of one that has the same inputs, but waits for others, and stands in for it where none of it is planned.
+    pub or_else: Option<&'a str>,
 }
 
 /// Makes a bake's world anew for [`BakeKind::evaluated`]: runs its first tasks inside the process, and calls `made` with the
@@ -232,14 +234,16 @@ pub fn made_anew<T>(
     progress: &Progress,
     made: impl FnOnce(&Context, &LocalRun) -> Result<T, EvaluationError>,
 ) -> Result<T, EvaluationError> {
-    let FirstTasks { kinds, plan, run: own, up_to } = first;
+    let FirstTasks { kinds, plan, run: own, up_to, or_else } = first;
     let mut run = LocalRun::new(MEMORY_BYTES, progress);
     let plan = plan(run.shelf.put(scene));
     let is_run = |kind: &str| own.contains(&kind) || SceneTask::ALL.iter().any(|task| task.name() == kind);
     let left_out = run.run(&Runner::new(kinds), plan, is_run, |_| {}).map_err(EvaluationError::Prepare)?;
     let absent = || TaskError::bad_input(format!("no task '{up_to}' is left whose inputs are all there"));
     let is_ready = |task: &&TaskSpec| task.kind == up_to && run.is_ready(task);
-    let task = left_out.iter().find(is_ready).ok_or_else(absent);
+    let is_planned = left_out.iter().any(|task| task.kind == up_to);
+    let is_instead = |task: &&TaskSpec| !is_planned && or_else == Some(&task.kind[..]);
+    let task = left_out.iter().find(is_ready).or_else(|| left_out.iter().find(is_instead)).ok_or_else(absent);
     let inputs = run.resolved(task.map_err(EvaluationError::Prepare)?);
     made(&run.context(&inputs), &run)
 }

@@ -74,8 +74,8 @@ pub struct MeshInstance {
     pub triangles: Vec<[u32; 3]>,
     /// Place of the node, for tools that draw handles; positions above already include it.
     pub world_from_object: Mat4,
-    /// The file wants its indirect light from probes in free space, where a kind of bake has some.
-    pub is_lit_by_probes: bool,
+    /// Whether the file has its indirect light from probes in free space, where a kind of bake has some, or from texels; it mostly does not say.
+    pub is_lit_by_probes: Option<bool>,
 }
 
 impl MeshInstance {

@@ -46,7 +46,7 @@ pub(super) fn flatten(
             parent_path: top.clone(),
             world_from_parent: DAffine3::IDENTITY,
             depth: 1,
-            is_lit_by_probes: false,
+            is_lit_by_probes: None,
         });
     }
     // A list of its own instead of recursion: depth then costs no stack.
@@ -91,7 +91,7 @@ struct Pending {
     world_from_parent: DAffine3,
     depth: u64,
     /// As its parent says.
-    is_lit_by_probes: bool,
+    is_lit_by_probes: Option<bool>,
 }
 
 struct Walk {
@@ -128,7 +128,7 @@ impl Walk {
         let path: Rc<str> =
             format!("{}{}/", here.parent_path, path_part(node.name.as_deref(), "node")).into();
         context.budgets.path_bytes.spend(path.len() as u64)?;
-        let is_lit_by_probes = is_lit_by_probes(context, node_index).unwrap_or(here.is_lit_by_probes);
+        let is_lit_by_probes = is_lit_by_probes(context, node_index).or(here.is_lit_by_probes);
         if let Some(mesh) = node.mesh {
             document::get(root, mesh, "mesh", || node_place(root, node_index))?;
             let first = scene.instances.len();
@@ -212,7 +212,7 @@ impl Walk {
                 colours: mesh_part.colours,
                 triangles: mesh_part.triangles,
                 world_from_object: DMat4::from(world_from_object).as_mat4(),
-                is_lit_by_probes: false,
+                is_lit_by_probes: None,
             });
         }
         Ok(())

@@ -154,7 +154,7 @@ impl<'p> LocalRun<'p> {
         Ok(output.plan)
     }
 
-    /// Inputs of a task whose dependencies are done, as a server resolves them.
+    /// Inputs of a task as far as its dependencies are done, as a server resolves them.
     pub fn resolved(&self, task: &TaskSpec) -> Vec<Artefact> {
         let mut inputs = Vec::new();
         for input in &task.inputs {
@@ -168,7 +168,7 @@ impl<'p> LocalRun<'p> {
                         name: format!("{name}/{}", output.name),
                         ..output.clone()
                     };
-                    inputs.extend(self.done[key].iter().map(named));
+                    inputs.extend(self.done.get(key).into_iter().flatten().map(named));
                 }
             }
         }

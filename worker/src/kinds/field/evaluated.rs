@@ -96,11 +96,11 @@ pub fn parts(
 }
 
 /// Makes the bake's world anew and decodes its chunks; those of tetrahedra have that `role`, if it has some. `first` are the scene, its
-/// first tasks, and the task kind that plans the rest.
+/// first tasks, the task kind that plans the rest, and that of surfaces which probes light.
 pub fn evaluated(
     kinds: &BakeKinds,
     manifest: &Manifest,
-    first: (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str),
+    first: (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str, Option<&str>),
     relightable: &Settings,
     role: Option<&'static str>,
     (bytes, progress): (ChunkBytes, &Progress),

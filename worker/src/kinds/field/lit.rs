@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 use lightkiln_proto::chunk::ChunkError;
-use lightkiln_proto::content::{EmitterIrradiance, TransportFactors};
+use lightkiln_proto::content::EmitterIrradiance;
 use lightkiln_proto::harmonics::ShBasis;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
@@ -20,20 +20,20 @@ use serde::{Deserialize, Serialize};
 
 use super::gather::chunks_of;
 use crate::emitters::EmitterSet;
-use crate::factors::cell_of_task;
-use crate::geometry::{Geometry, Trail};
+use crate::factors::{CellIndex, cell_of_task};
+use crate::geometry::Trail;
 use crate::kinds::prt::{self, KnownRow};
-use crate::lightmap::{Lightmap, Numbering, World};
+use crate::lightmap::{Lightmap, Numbering, Receiver, World};
 use crate::patches::PatchTree;
-use crate::reads::{RECORD_ARTEFACT, Reads, Record, Stage, of_before, outputs_of_before, union};
-use crate::scene::model::Scene;
+use crate::reads::{RECORD_ARTEFACT, Reads, Record, Stage, of_before, outputs_of_before};
+use crate::scene::model::{MeshInstance, Scene};
 use crate::task::{Cancelled, Context, TaskError, TaskOutput, params};
 use crate::transport::{PatchRow, Row};
 
 /// Name of the digest of the field among outputs.
 const FIELD_ARTEFACT: &str = "field-digest";
-/// Share of the way to the next surface at which a surface reads its light, where that is nearer than usual.
-const FREE_SHARE: f32 = 0.5;
+/// Name of the count of such receivers.
+const COUNTER: &str = "receivers_lit_by_probes";
 
 /// Settings that a cell of such receivers depends on, beside those of its surroundings and the field.
 #[derive(Clone, Debug, Deserialize, Serialize)]
@@ -49,12 +49,8 @@ pub struct LitParams {
 
 /// Receivers of a lightmap whose light is that of rays of their own, and those whose is the field's; both ascending.
 pub fn by_light(scene: &Scene, lightmap: &Lightmap, settings: &LitSettings) -> [Vec<u32>; 2] {
-    let is_small = |size_m: f32| settings.probe_lit_m > 0.0 && size_m <= settings.probe_lit_m;
-    let is_lit: Vec<bool> = scene
-        .instances
-        .iter()
-        .map(|instance| instance.is_lit_by_probes || is_small(instance.size_m()))
-        .collect();
+    let is_lit: Vec<bool> =
+        scene.instances.iter().map(|instance| is_lit(instance, settings.probe_lit_m)).collect();
     let instance_of = |receiver: u32| {
         let block = lightmap.receivers[receiver as usize].block;
         lightmap.blocks[block as usize].instance as usize
@@ -62,6 +58,51 @@ pub fn by_light(scene: &Scene, lightmap: &Lightmap, settings: &LitSettings) -> [
     let (lit, own) =
         (0..lightmap.receivers.len() as u32).partition(|&receiver| is_lit[instance_of(receiver)]);
     [own, lit]
+}
+
+/// As the file says, else by size.
+fn is_lit(instance: &MeshInstance, probe_lit_m: f32) -> bool {
+    let is_small = || probe_lit_m > 0.0 && instance.size_m() <= probe_lit_m;
+    instance.is_lit_by_probes.unwrap_or_else(is_small)
+}
+
+/// A field's parts, and which of its probes are around a point.
+struct Field {
+    parts: Vec<FieldPart>,
+    /// Without depth maps and rows.
+    places: FieldTable,
+}
+
+impl Field {
+    /// Of the chunks of all cells and that of tetrahedra; also gives its size in memory.
+    fn of(
+        context: &Context,
+        chunks: &[Artefact],
+        between: Option<Digest>,
+    ) -> Result<(Self, usize), TaskError> {
+        let unread =
+            |error: ChunkError| TaskError::bad_input_from("a chunk of the field cannot be read", error);
+        let mut bytes = 0;
+        let mut parts: Vec<FieldPart> = Vec::with_capacity(chunks.len());
+        for chunk in chunks {
+            let mut part = decode_field(&context.source.get(chunk.digest)?).map_err(unread)?;
+            part.depths = Vec::new();
+            bytes += 4 * (part.factors.u.len() + part.factors.vt.len()) + 32 * part.probes.len();
+            parts.push(part);
+        }
+        let between = between.map(|digest| decode_tetrahedra(&context.source.get(digest)?).map_err(unread));
+        let places: Vec<FieldPart> = parts
+            .iter()
+            .map(|part| FieldPart {
+                spacing_m: part.spacing_m,
+                probes: part.probes.clone(),
+                ..FieldPart::default()
+            })
+            .collect();
+        let places = FieldTable::join(&places, between.transpose()?.as_ref(), 0, &PatchTable::default())
+            .map_err(|error| TaskError::bad_input_from("the probes contradict each other", error))?;
+        Ok((Self { parts, places }, bytes))
+    }
 }
 
 /// Runs the task: inputs of [`World::of`] and [`PatchTree::of`], `cells`, `stage`, the chunk of tetrahedra where there is one, and `field/…` of every
@@ -72,54 +113,45 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let stage = Stage::of(context)?;
     let cell = cell_of_task(context, cell)?;
     let chunks = chunks_of(context);
-    let role = tetrahedra.map(|role| context.digest(&role)).transpose()?;
-    let field = digest_of(chunks.iter().map(|chunk| chunk.digest).chain(role));
-    if let Some(kept) = kept(context, &stage, field)? {
+    let between = tetrahedra.map(|role| context.digest(&role)).transpose()?;
+    let digest = digest_of(chunks.iter().map(|chunk| chunk.digest).chain(between));
+    if let Some(kept) = kept(context, &stage, digest)? {
         return Ok(kept);
     }
-    let unread = |error: ChunkError| TaskError::bad_input_from("a chunk of the field cannot be read", error);
-    let parts: Vec<FieldPart> = chunks
-        .iter()
-        .map(|chunk| decode_field(&context.source.get(chunk.digest)?).map_err(unread))
-        .collect::<Result<_, TaskError>>()?;
-    let between = role.map(|digest| decode_tetrahedra(&context.source.get(digest)?).map_err(unread));
-    let between = between.transpose()?;
-    // Weights alone are asked of the table: rows come from the parts.
-    let places = parts.iter().map(|part| FieldPart {
-        factors: TransportFactors::default(),
-        emitters: Vec::new(),
-        ..part.clone()
-    });
-    let places: Vec<FieldPart> = places.collect();
-    let table = FieldTable::join(&places, between.as_ref(), 0, &PatchTable::default())
-        .map_err(|error| TaskError::bad_input_from("the probes contradict each other", error))?;
+    let field = context.memory.get_or_insert(digest, || Field::of(context, &chunks, between))?;
     let world = World::of(context)?;
-    let emitters = EmitterSet::of(context, &world.geometry)?.count();
+    let emitters = EmitterSet::of(context, &world.geometry)?;
+    let named = field.parts.iter().flat_map(|part| &part.emitters).map(|column| usize::from(column.emitter));
+    if named.max().is_some_and(|emitter| emitter >= emitters.count()) {
+        return Err(TaskError::bad_input(
+            "a chunk of the field names an emitter that the scene does not have",
+        ));
+    }
     let reads = Reads::new(&world, &stage);
     let of_receiver = |&receiver: &u32| {
         context.progress.check()?;
-        Ok(weights(&world, &table, receiver, &reads.trail))
+        context.progress.advance(1);
+        Ok(weights(&world, &field.places, receiver, &reads.trail))
     };
     context.progress.begin(0.0, 0.9, cell.receivers.len() as u64);
     let weights: Vec<Vec<(u32, f32)>> = context
         .progress
         .casting(|| cell.receivers.iter().map(of_receiver).collect::<Result<_, Cancelled>>())?;
     let read = reads.into_names();
-    let rows = Rows::of(&parts, &weights);
+    let rows = Rows::of(&field.parts, &weights);
     let of_receiver = |(&receiver, weights): (&u32, &Vec<(u32, f32)>)| {
         let normal = world.lightmap.receivers[receiver as usize].normal;
-        rows.of_receiver(weights, normal, emitters)
+        rows.of_receiver(weights, normal, emitters.radiance())
     };
     let known: Vec<KnownRow> = cell.receivers.par_iter().zip(&weights).map(of_receiver).collect();
     let mut output =
         prt::of_known_rows(&world, &settings, (rows.keys.values(), known), &cell, context.progress)?;
     let tree = PatchTree::of(context)?;
-    let record = Record::of(&stage, &tree, &union([&read[..]].into_par_iter()), &[], &[]);
-    if let Some(record) = record {
+    if let Some(record) = Record::of(&stage, &tree, &read, &[], &[]) {
         output.artefacts.push((RECORD_ARTEFACT.to_owned(), record.encoded()?));
     }
-    output.artefacts.push((FIELD_ARTEFACT.to_owned(), field.to_string().into_bytes()));
-    output.counters.insert("receivers_lit_by_probes".into(), cell.receivers.len() as f64);
+    output.artefacts.push((FIELD_ARTEFACT.to_owned(), digest.to_string().into_bytes()));
+    output.counters.insert(COUNTER.into(), cell.receivers.len() as f64);
     output.note = format!("{} receivers lit by probes", cell.receivers.len());
     Ok(output)
 }
@@ -140,48 +172,37 @@ fn kept(context: &Context, stage: &Stage, field: Digest) -> Result<Option<TaskOu
         if !is_same(outputs)? {
             continue;
         }
-        if let Some(artefacts) = outputs_of_before(context, outputs, "")? {
-            let note =
-                "as before: neither the field nor what parts it from these surfaces has changed".to_owned();
-            return Ok(Some(TaskOutput { artefacts, note, ..TaskOutput::default() }));
-        }
+        let Some(artefacts) = outputs_of_before(context, outputs, "")? else { continue };
+        let index = artefacts.iter().find(|(name, _)| name == CellIndex::OUTPUT);
+        let Some(index) = index.and_then(|(_, bytes)| CellIndex::decoded(bytes).ok()) else { continue };
+        let note =
+            "as before: neither the field nor what parts it from these surfaces has changed".to_owned();
+        let counters = index.counters();
+        return Ok(Some(TaskOutput { artefacts, note, counters, ..TaskOutput::default() }));
     }
     Ok(None)
 }
 
 /// Probes that a receiver's light comes from, and their weights: of those around its place, the ones that a ray from there meets; where it meets
-/// none, of those around these; none where no probe is in sight, as in a drawer, which depth maps take for the room. Marks the `trail` of the rays
-/// that tell.
+/// none, of those around these; none where no probe is in sight, as in a drawer, which depth maps take for the room. Its place is as far off the surface as
+/// [`FieldTable::raised`] has it, or half of the way to what stands before it. Marks the `trail` of the rays that tell.
 fn weights(world: &World, table: &FieldTable, receiver: u32, trail: &Trail) -> Vec<(u32, f32)> {
     let geometry = &world.geometry;
-    let of = &world.lightmap.receivers[receiver as usize];
-    let at_m = free_place(geometry, (of.position_m, of.face_normal), table, trail);
+    let Receiver { position_m, face_normal, .. } = world.lightmap.receivers[receiver as usize];
+    let height_m = table.raised(position_m, face_normal).distance(position_m);
+    let at_m = geometry.raised(position_m, face_normal, height_m);
+    trail.from(position_m).mark(face_normal, Some(2.0 * height_m));
+    let [low_m, high_m] = geometry.bounds_m();
     let from = trail.from(at_m);
     let is_seen = |&(probe, _): &(u32, f32)| {
         let probe_m = table.position_m[probe as usize].truncate();
-        from.mark(probe_m - at_m, Some(1.0));
+        let is_within = probe_m.cmpge(low_m).all() && probe_m.cmple(high_m).all();
+        from.mark(probe_m - at_m, is_within.then_some(1.0));
         !geometry.tracer.is_occluded(probe_m, at_m)
     };
     let seen = |probes: Vec<(u32, f32)>| normalised(probes.into_iter().filter(is_seen));
     let near = seen(table.cage(at_m));
     if near.is_empty() { seen(table.wide(at_m)) } else { near }
-}
-
-/// The place at which a surface reads its light: as far off it as [`FieldTable::raised`] has it, or half of the way to what stands before it.
-fn free_place(
-    geometry: &Geometry,
-    (position_m, facet): (Vec3, Vec3),
-    table: &FieldTable,
-    trail: &Trail,
-) -> Vec3 {
-    let height_m = table.raised(position_m, facet).distance(position_m);
-    let from_m = geometry.lifted(position_m, facet);
-    // What stands within twice the height leaves half of its way.
-    let reach_m = height_m / FREE_SHARE;
-    let met = geometry.tracer.met(from_m, facet, reach_m);
-    trail.from(from_m).mark(facet, Some(met.as_ref().map_or(reach_m, |hit| hit.t)));
-    let free_m = met.map_or(height_m, |hit| FREE_SHARE * hit.t);
-    from_m + facet * free_m
 }
 
 /// Rows of probes as factors of the parts that they come in.
@@ -214,12 +235,12 @@ impl<'a> Rows<'a> {
         Self { parts, part_of, keys, places }
     }
 
-    /// `Σ_p w_p Σ_j Y_j(n) T_pj`, and the light of so many emitters likewise.
-    fn of_receiver(&self, weights: &[(u32, f32)], normal: Vec3, emitters: usize) -> KnownRow {
+    /// `Σ_p w_p Σ_j Y_j(n) T_pj`, and the light of emitters likewise, which probes hold with such a `radiance` and receivers with 1.
+    fn of_receiver(&self, weights: &[(u32, f32)], normal: Vec3, radiance: &[[f32; 3]]) -> KnownRow {
         let mut harmonics = [0.0; PROBE_ROWS];
         ShBasis::new(2).evaluate(normal, &mut harmonics);
         let mut alpha = vec![0.0_f32; self.keys.len()];
-        let mut direct = vec![[0.0_f32; 3]; emitters];
+        let mut direct = vec![[0.0_f32; 3]; radiance.len()];
         let mut of_parts: Vec<(u32, u32, f32)> = weights
             .iter()
             .map(|&(probe, weight)| {
@@ -251,7 +272,9 @@ impl<'a> Rows<'a> {
                 places.zip(row).for_each(|(&place, value)| alpha[place as usize] += share * value);
             }
         }
-        direct.iter_mut().flatten().for_each(|channel| *channel = channel.max(0.0));
+        for (sum, radiance) in direct.iter_mut().flatten().zip(radiance.iter().flatten()) {
+            *sum = if *radiance > 0.0 { (*sum / radiance).max(0.0) } else { 0.0 };
+        }
         let PatchRow { alpha, importance } = PatchRow::without_noise(self.keys.values(), alpha);
         KnownRow { shared: Row { alpha, emitters: direct, ..Row::default() }, importance }
     }
@@ -259,7 +282,7 @@ impl<'a> Rows<'a> {
 
 #[cfg(test)]
 mod tests {
-    use lightkiln_proto::content::PatchKey;
+    use lightkiln_proto::content::{PatchKey, TransportFactors};
     use lightkiln_proto::kinds::field::{Probe, ProbeKey};
 
     use super::*;
@@ -289,16 +312,33 @@ mod tests {
         let normal = Vec3::new(0.6, 0.0, 0.8);
         let mut harmonics = [0.0; PROBE_ROWS];
         ShBasis::new(2).evaluate(normal, &mut harmonics);
-        let row = rows.of_receiver(&weights, normal, 2).shared;
+        let row = rows.of_receiver(&weights, normal, &[[1.0; 3], [4.0, 0.0, 0.5]]).shared;
         let by_hand: f32 = (0..PROBE_ROWS).map(|j| 0.25 * 2.0 * j as f32 * harmonics[j]).sum();
         assert!((row.alpha[0] - by_hand).abs() < 1e-5, "{} {by_hand}", row.alpha[0]);
         assert!((row.alpha[1] - 1.5 * harmonics[0]).abs() < 1e-6);
         let sum: f32 = harmonics.iter().sum();
         assert_eq!(row.emitters[0], [0.0; 3]);
-        assert!((row.emitters[1][0] - sum.max(0.0)).abs() < 1e-5, "of both parts alike");
-        assert!((row.emitters[1][2] - (-sum).max(0.0)).abs() < 1e-5, "never below 0");
+        assert!(
+            (row.emitters[1][0] - sum.max(0.0) / 4.0).abs() < 1e-5,
+            "of both parts alike, for radiance 1"
+        );
+        assert_eq!(row.emitters[1][1], 0.0, "of a colour that does not shine");
+        assert!((row.emitters[1][2] - (-sum).max(0.0) / 0.5).abs() < 1e-5, "never below 0");
         // A part that no weight names has no columns.
         let alone = Rows::of(&parts, &[vec![(1, 1.0)]]);
         assert_eq!(alone.keys.values(), [PatchKey::of_sky(5).0]);
+    }
+
+    #[test]
+    fn words_of_the_file_come_before_size() {
+        let instance = |is_lit_by_probes: Option<bool>| MeshInstance {
+            positions_m: vec![Vec3::ZERO, Vec3::new(0.1, 0.2, 0.05)],
+            is_lit_by_probes,
+            ..MeshInstance::default()
+        };
+        let lit = |said: Option<bool>| [0.0, 0.19, 0.2].map(|below_m| is_lit(&instance(said), below_m));
+        assert_eq!(lit(None), [false, false, true]);
+        assert_eq!(lit(Some(true)), [true; 3]);
+        assert_eq!(lit(Some(false)), [false; 3]);
     }
 }

@@ -102,11 +102,10 @@ pub fn planned(
     plan.extend(fields);
     let (assemble, params) = assemble;
     plan.push(assemble.task("bundle", params.clone(), inputs, 1));
-    let mut counters = surveyed.counters();
+    let counters = surveyed.counters();
     let mut artefacts = surfaces.artefacts;
     artefacts.extend(surveyed.into_artefacts());
     if !cells.is_empty() {
-        counters.insert("receivers_lit_by_probes".to_owned(), of_field.len() as f64);
         artefacts.push((LIT_CELLS.to_owned(), encoded));
     }
     Ok(TaskOutput { artefacts, plan, counters, ..TaskOutput::default() })

@@ -54,7 +54,7 @@ impl BakeKind for Grid {
         progress: &Progress,
     ) -> Result<Box<dyn Evaluated>, EvaluationError> {
         let settings: Settings = manifest.settings()?;
-        let first = (scene, |scene| first_tasks(scene, &settings), tasks::PLAN.name);
+        let first = (scene, |scene| first_tasks(scene, &settings), tasks::PLAN.name, Some(tasks::LIT.name));
         Ok(Box::new(field::evaluated(
             kinds,
             manifest,

@@ -24,19 +24,20 @@ pub fn evaluated(
 ) -> Result<FactoredBake<PatchTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    evaluated_of(kinds, manifest, (scene, plan, tasks::PLAN.name), &settings, bytes, progress)
+    evaluated_of(kinds, manifest, (scene, plan, tasks::PLAN.name, None), &settings, bytes, progress)
 }
 
-/// As [`evaluated`], of a scene whose first tasks `plan` gives, and of which the task kind `planning` plans the relightable bake.
+/// As [`evaluated`], of a scene whose first tasks `plan` gives, and of which the task kind `planning` plans the relightable bake; `or_else`
+/// has the inputs of its rays where there are none.
 pub fn evaluated_of(
     kinds: &BakeKinds,
     manifest: &Manifest,
-    (scene, plan, planning): (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str),
+    (scene, plan, planning, or_else): (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str, Option<&str>),
     settings: &Settings,
     bytes: ChunkBytes,
     progress: &Progress,
 ) -> Result<FactoredBake<PatchTable>, EvaluationError> {
-    let first = FirstTasks { kinds, plan, run: &[planning], up_to: tasks::TRANSPORT.name };
+    let first = FirstTasks { kinds, plan, run: &[planning], up_to: tasks::TRANSPORT.name, or_else };
     made_anew(first, scene, progress, |context, run| {
         let chunks = manifest.chunks(PATCHES);
         if chunks.iter().map(|chunk| Some(chunk.digest)).ne([run.output(planning, PATCH_SET)]) {

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 use lightkiln_proto::content::{BlockKey, Texel, TransportFactors};
+use lightkiln_proto::kinds::prt::PatchSettings;
 
 use super::near::{self, NearHit};
 use super::{Row, TracedSettings};
@@ -53,7 +54,11 @@ impl Truncation for Cell<'_> {
     fn factored(&self, receivers: &[u32]) -> (Factored, bool) {
         let places = self.places(receivers);
         let (factors, suffices) = self.matrix.factored(&places, self.settings.truncation());
-        (Factored { factors, groups: self.matrix.used(&places) }, suffices)
+        let groups = self.matrix.used(&places);
+        // One cut has no more; rows of several, as those of probes, may have.
+        let PatchSettings { patches_max, sky_parts, .. } = self.settings.patches;
+        let fits = groups.len() <= (patches_max + sky_parts.max(1)) as usize;
+        (Factored { factors, groups }, suffices && fits)
     }
 
     fn has_columns(&self, receiver: u32) -> bool {

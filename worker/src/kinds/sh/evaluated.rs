@@ -22,7 +22,8 @@ pub fn evaluated(
 ) -> Result<FactoredBake<ProbeTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    let first = FirstTasks { kinds, plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name };
+    let first =
+        FirstTasks { kinds, plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name, or_else: None };
     made_anew(first, scene, progress, |context, _| {
         let decode = |chunk: &ChunkRef| decoded(chunk, bytes, decode_probe_batch);
         let batches: Vec<ProbeBatch> =

@@ -277,8 +277,9 @@ fn extras_say_what_lights_a_node_and_all_below_it() {
     ]);
     document.json["scenes"] = json!([{"nodes": [0, 4]}]);
     let imported = document.import().unwrap();
-    let lit: Vec<bool> = imported.scene.instances.iter().map(|instance| instance.is_lit_by_probes).collect();
-    assert_eq!(lit, [true, false, true, false]);
+    let lit: Vec<Option<bool>> =
+        imported.scene.instances.iter().map(|instance| instance.is_lit_by_probes).collect();
+    assert_eq!(lit, [Some(true), Some(false), Some(true), None]);
     assert_eq!(codes(&imported), ["lit-by-something-else"]);
     assert!(imported.warnings[0].message.contains(r#""kiln_lit": ["candles"]"#), "{:?}", imported.warnings);
 }
