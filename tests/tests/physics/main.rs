@@ -23,7 +23,6 @@ mod rims;
 mod scale;
 mod seams;
 mod setup;
-mod slopes;
 mod smallest;
 mod stripes;
 mod transforms;
