@@ -50,8 +50,6 @@ fn material(glass: Option<Glass>) -> Material {
         emitter: None,
         alpha_cutoff: None,
         glass,
-        normal_map: None,
-        specular: None,
         double_sided: false,
     }
 }

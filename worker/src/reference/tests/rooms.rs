@@ -50,8 +50,6 @@ impl Room {
             emissive_texture: None,
             alpha_cutoff: None,
             glass: None,
-            normal_map: None,
-            specular: None,
             double_sided,
         });
         self

@@ -3,7 +3,6 @@
 mod appearance;
 mod bundles;
 mod compressed;
-mod details;
 mod document_builder;
 mod geometry;
 mod hostile;
