@@ -141,7 +141,7 @@ fn adapter_says_without_a_wait_when_bounces_have_converged() {
 /// How many frames it takes until other lights are seen: as the window goes, a bounce for each picture.
 #[test]
 #[ignore = "needs a graphics adapter"]
-fn adapter_shows_other_lights_in_the_next_frame_and_nearly_all_of_their_bounce() {
+fn adapter_shows_most_of_other_lights_in_the_next_frame_and_nearly_all_in_the_one_after() {
     let gpu = Gpu::open().unwrap();
     let bake = fixture::prt_bake(&fixture::prt_contents());
     let mut frame = Frame::new(&gpu, &bake, room(), view_of(&bake).camera).unwrap();
@@ -166,7 +166,7 @@ fn adapter_shows_other_lights_in_the_next_frame_and_nearly_all_of_their_bounce()
     let left: Vec<f32> = pictures.iter().map(|picture| sum(picture, &settled) / all).collect();
     println!("of the change of the picture {left:?} is left after one, two and three frames");
     assert!(all > 0.1 * sum(&settled, &vec![Vec4::ZERO; settled.len()]), "the lights are alike: {all}");
-    assert!(left[0] < 0.1 && left[1] < 0.03, "{left:?}");
+    assert!(left[0] < 0.15 && left[1] < 0.06, "{left:?}");
 }
 
 #[test]
