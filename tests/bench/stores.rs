@@ -168,7 +168,7 @@ impl Busy {
     }
 }
 
-/// What the active sessions of a database do, looked at again and again.
+/// Doings of the active sessions of a database, looked at again and again.
 struct Waits {
     end: tokio::sync::oneshot::Sender<()>,
     looks: tokio::task::JoinHandle<BTreeMap<String, i64>>,

@@ -32,7 +32,7 @@ const LUMINANCE_OF_RADIANCE: f32 = 683.0;
 /// Frames between the last file and the picture.
 const FRAMES: u32 = 30;
 
-/// What the command line asks for.
+/// Wishes of the command line.
 #[derive(Resource, Clone)]
 struct Wanted {
     /// Folder of the export below `assets`.
@@ -47,7 +47,7 @@ struct Wanted {
     picture: Option<String>,
 }
 
-/// What is loaded.
+/// Handles of all that is loaded.
 #[derive(Resource, Default)]
 struct Loaded(Vec<UntypedHandle>);
 

@@ -9,7 +9,7 @@ use super::world::link_height_m;
 use crate::geometry::Geometry;
 use crate::task::Progress;
 
-/// What every hit on a receiver reads of it.
+/// Numbers of a receiver that every hit on it reads.
 #[derive(Clone, Copy, Debug)]
 pub struct Raised {
     /// Its point, raised as [`Geometry::raised`] does by [`link_height_m`] of its texel.

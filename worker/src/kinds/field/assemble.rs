@@ -53,7 +53,7 @@ impl Assembled {
             mean_rank: account.ranks as f64 / account.probes.max(1) as f64,
             placement: placement(context)?,
         };
-        let mut chunks = vec![(FIELD, chunks_of(context, |name| is_of_field(name, "/chunk/")))];
+        let mut chunks = vec![(FIELD, field_chunks(context))];
         if let Some(role) = role {
             chunks.push((role, chunks_of(context, |name| name == role)));
         }
@@ -81,6 +81,11 @@ fn account(context: &Context) -> Result<Account, TaskError> {
         all.ranks += part.ranks;
     }
     Ok(all)
+}
+
+/// Chunks of all cells of probes among the inputs, in the order of the plan.
+pub fn field_chunks(context: &Context) -> Vec<ChunkRef> {
+    chunks_of(context, |name| is_of_field(name, "/chunk/"))
 }
 
 /// Chunks among the inputs, in the order of the plan.

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use glam::{Quat, Vec3};
 use lightkiln_proto::harmonics::{ShBasis, relight_direction};
-use lightkiln_proto::jobs::{Artefact, TaskSpec};
+use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::field::PROBE_ROWS;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -106,12 +106,6 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         output.artefacts.push((RECORD_ARTEFACT.to_owned(), record.encoded()?));
     }
     Ok(output)
-}
-
-/// Chunks of all cells among the inputs of a task that follows, in the order of the plan.
-pub fn chunks_of(context: &Context) -> Vec<Artefact> {
-    let is_chunk = |name: &str| name.starts_with("field/") && name.contains("/chunk/");
-    context.inputs.iter().filter(|artefact| is_chunk(&artefact.name)).cloned().collect()
 }
 
 /// Surroundings of a cell's probes.

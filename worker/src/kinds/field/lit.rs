@@ -14,11 +14,12 @@ use lightkiln_proto::kinds::field::{
     FieldPart, FieldTable, LitSettings, PROBE_ROWS, decode_field, decode_tetrahedra, normalised,
 };
 use lightkiln_proto::kinds::prt::Settings;
+use lightkiln_proto::manifest::ChunkRef;
 use lightkiln_proto::relight::PatchTable;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::gather::chunks_of;
+use super::assemble::field_chunks;
 use crate::emitters::EmitterSet;
 use crate::factors::{CellIndex, cell_of_task};
 use crate::geometry::Trail;
@@ -77,7 +78,7 @@ impl Field {
     /// Of the chunks of all cells and that of tetrahedra; also gives its size in memory.
     fn of(
         context: &Context,
-        chunks: &[Artefact],
+        chunks: &[ChunkRef],
         between: Option<Digest>,
     ) -> Result<(Self, usize), TaskError> {
         let unread =
@@ -112,7 +113,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let LitParams { cell, settings, tetrahedra } = params(task)?;
     let stage = Stage::of(context)?;
     let cell = cell_of_task(context, cell)?;
-    let chunks = chunks_of(context);
+    let chunks = field_chunks(context);
     let between = tetrahedra.map(|role| context.digest(&role)).transpose()?;
     let digest = digest_of(chunks.iter().map(|chunk| chunk.digest).chain(between));
     if let Some(kept) = kept(context, &stage, digest)? {

@@ -78,11 +78,12 @@ pub fn planned(
     }
     let cells = prt::cells_of(&world.lightmap, &of_field, relightable);
     let encoded = encoded_cells(&cells)?;
+    let lit_cells = TaskInput::Artefact { name: CELLS_ARTEFACT.into(), digest: Digest::of(&encoded) };
     for (cell, (of, name)) in cells.iter().zip(cell_names(&cells)).enumerate() {
         let of_cell =
             LitParams { cell, settings: relightable.clone(), tetrahedra: tetrahedra.map(str::to_owned) };
         let mut inputs = context.as_inputs(prt::is_read_by_transport);
-        inputs.push(TaskInput::Artefact { name: CELLS_ARTEFACT.into(), digest: Digest::of(&encoded) });
+        inputs.push(lit_cells.clone());
         inputs.push(stage.clone());
         inputs.extend(surveyed.tetrahedra());
         inputs.extend(results_of(&fields));

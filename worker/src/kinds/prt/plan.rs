@@ -71,10 +71,11 @@ pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Res
         cells.par_iter().map(|cell| alike(&world, &common, &cell.bounds_m, &cell.receivers)).collect();
     let artefacts: Vec<_> = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
     let mut planned = Planned { artefacts, common, rays: Vec::new(), colours: Vec::new() };
+    let of_all = [CELLS_ARTEFACT, STAGE_ARTEFACT].map(|name| planned.input(name));
     for (cluster, ((cell, label), name)) in cells.iter().zip(cell_names(&cells)).zip(names).enumerate() {
         let cost = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
         let mut inputs = context.as_inputs(is_read_by_transport);
-        inputs.extend([CELLS_ARTEFACT, STAGE_ARTEFACT].map(|name| planned.input(name)));
+        inputs.extend(of_all.iter().cloned());
         let of_cell = json!(TransportParams { cluster, settings: traced.clone() });
         let cost = RAYS_PER_RAY * cost / 1000;
         let transport = tasks::TRANSPORT.task(format!("cluster {label}"), of_cell, inputs, cost).alike(name);
