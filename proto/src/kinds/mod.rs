@@ -14,6 +14,7 @@ mod scene_tasks;
 pub mod sh;
 mod tasks;
 mod under_way;
+pub mod voxels;
 mod warnings;
 
 use serde_json::Value;

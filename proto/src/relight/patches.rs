@@ -76,6 +76,32 @@ impl PatchTable {
         Ok(table)
     }
 
+    /// Number of a patch by its key.
+    pub fn number(&self, key: PatchKey) -> Option<u32> {
+        self.by_key.get(&key).copied()
+    }
+
+    /// The finest patch of each slot that is in one, [`NO_PATCH`] of others.
+    pub fn finest_of_slots(&self) -> Vec<u32> {
+        let slots =
+            self.slots.iter().filter(|slot| **slot != DARK).max().map_or(0, |slot| *slot as usize + 1);
+        let mut by_slot = vec![NO_PATCH; slots];
+        // Those of fewer leaves lie within those of more, and are the last to be written.
+        let mut coarse_first: Vec<usize> = (0..self.patches.len()).collect();
+        coarse_first.sort_by_key(|&patch| std::cmp::Reverse(self.patches[patch].leaf_count));
+        for patch in coarse_first {
+            let PatchRow { first_leaf, leaf_count, .. } = self.patches[patch];
+            let starts =
+                [first_leaf, first_leaf + leaf_count].map(|leaf| self.leaf_starts[leaf as usize] as usize);
+            for &slot in &self.slots[starts[0]..starts[1]] {
+                if let Some(own) = by_slot.get_mut(slot as usize) {
+                    *own = patch as u32;
+                }
+            }
+        }
+        by_slot
+    }
+
     /// Numbers in λ.
     pub fn len(&self) -> usize {
         2 * self.patches.len() + self.sky_parts as usize

@@ -5,6 +5,7 @@ use crate::chunk::*;
 use crate::kinds::Kinds;
 use crate::kinds::field::{PART_PROBES_MAX, TETRAHEDRA_MAX};
 use crate::kinds::sh::{BATCH_PROBES_MAX, HITS_MAX, RELIGHT_RAYS_MAX};
+use crate::kinds::voxels;
 
 const FORMAT: &str = include_str!("../../../FORMAT.md");
 
@@ -47,6 +48,10 @@ fn limits_are_those_of_the_code() {
         ("probes × rays", HITS_MAX),
         ("probes in a part of a field", PART_PROBES_MAX),
         ("tetrahedra of a bake", TETRAHEDRA_MAX),
+        ("levels of voxels", voxels::LEVELS_MAX as usize),
+        ("bricks in a part of voxels", voxels::PART_BRICKS_MAX),
+        ("elements in a part of voxels", voxels::PART_ELEMENTS_MAX),
+        ("glows in a part of voxels", voxels::GLOWS_MAX),
         ("surface patches", PATCHES_MAX),
         ("clusters in a page of a directory", DIRECTORY_CLUSTERS_MAX),
         ("receivers of patches", PATCH_RECEIVERS_MAX),

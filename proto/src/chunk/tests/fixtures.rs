@@ -10,6 +10,9 @@ use crate::kinds::field::{
     decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
+use crate::kinds::voxels::{
+    Brick, BrickKey, Element, Glow, NormalCode, Voxel, VoxelPart, decode_voxels, encode_voxels,
+};
 
 /// Chunks of each kind in one version.
 struct Fixtures {
@@ -43,6 +46,9 @@ const V4: Fixtures = fixtures!("v4");
 const FIELD_V4: &[u8] = include_bytes!("../../../fixtures/field-v4.lkc");
 /// Tetrahedra between probes, likewise.
 const TETRAHEDRA_V4: &[u8] = include_bytes!("../../../fixtures/tetrahedra-v4.lkc");
+
+/// Elements in voxels, likewise.
+const VOXELS_V4: &[u8] = include_bytes!("../../../fixtures/voxels-v4.lkc");
 
 /// A page of a directory, of which there are none in older versions.
 const DIRECTORY_V4: &[u8] = include_bytes!("../../../fixtures/directory-v4.lkc");
@@ -172,7 +178,7 @@ fn geometry() -> Geometry {
     }
 }
 
-fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 9] {
+fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 10] {
     let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
         ("cluster-v4.lkc", encode(cluster()), V4.cluster),
@@ -182,6 +188,7 @@ fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 9] {
         ("directory-v4.lkc", encode_directory(&directory(3).0, &directory(3).1).unwrap(), DIRECTORY_V4),
         ("field-v4.lkc", encode_field(&field(), 0.01).unwrap().bytes, FIELD_V4),
         ("tetrahedra-v4.lkc", encode_tetrahedra(&tetrahedra()).unwrap(), TETRAHEDRA_V4),
+        ("voxels-v4.lkc", encode_voxels(&voxels()).unwrap(), VOXELS_V4),
         ("geometry-v4.lkc", encode_geometry(&geometry()).unwrap(), V4.geometry),
         ("texture-v4.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V4.texture),
     ]
@@ -292,6 +299,40 @@ fn field() -> FieldPart {
 fn tetrahedra() -> TetrahedronSet {
     let vertices = vec![[0, 1, 2, 3], [0, 1, 3, 9], [0, 2, 5, 6], [1, 7, 8, 9]];
     TetrahedronSet { box_m: [[-1.5, 0.0, -2.0], [1.5, 2.5, 0.25]], probes: 2, vertices }
+}
+
+/// A lamp on a floor and the floor's dark back, in two levels of voxels.
+fn voxels() -> VoxelPart {
+    let floor = |level: u32, cell: [i32; 3]| Element {
+        normal: NormalCode([0, 32_767]),
+        plane: 1000 >> level,
+        bits: if level == 0 { 0x0000_00c0_0000_00c0 } else { 0xf0 },
+        patch: Some(PatchKey::of_cell(level, cell, 2, 0)),
+        glow: 0,
+        is_backed: true,
+        is_finest: false,
+    };
+    let lamp = Element { glow: 1, patch: Some(PatchKey::of_cell(5, [-1, 0, 0], 2, 3)), ..floor(0, [0; 3]) };
+    let back = Element { normal: NormalCode([0, -32_767]), plane: -400, patch: None, ..floor(0, [0; 3]) };
+    let brick = |level: u32, x: i32, elements: Vec<Element>| Brick {
+        key: BrickKey::new(level, glam::IVec3::new(x, 0, 0)),
+        voxels: vec![Voxel { place: 9, elements: elements.len() as u16 }],
+        elements,
+    };
+    VoxelPart {
+        voxel_m: 0.25,
+        glows: vec![Glow { emitter: 2, share: [1.0, 0.5, 0.25] }],
+        bricks: vec![
+            brick(1, -1, vec![floor(1, [-14, 2, 0])]),
+            brick(0, -2, vec![floor(0, [-30, 2, 1]), lamp, back]),
+            brick(0, -1, vec![floor(0, [-13, 3, 0])]),
+        ],
+    }
+}
+
+#[test]
+fn voxels_of_version_4_still_decode_to_what_went_in() {
+    assert_eq!(decode_voxels(VOXELS_V4).unwrap(), voxels());
 }
 
 #[test]

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use super::scenes::{batch, directory, field, narrow, patches, quads, tetrahedra, wall};
+use super::scenes::{batch, directory, field, narrow, patches, quads, tetrahedra, voxels, wall};
 use crate::chunk::*;
 use crate::content::*;
 use crate::kinds::field::{
     FieldPart, PROBE_ROWS, TetrahedronSet, decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
+use crate::kinds::voxels::{VoxelPart, decode_voxels, encode_voxels};
 use crate::manifest::{ChunkRef, ClusterRow};
 
 fn product(cluster: &ClusterTransport) -> Vec<f64> {
@@ -274,6 +275,19 @@ fn tetrahedra_come_back_exactly_and_those_that_contradict_themselves_are_refused
     assert!(refused(|set| set.vertices[9][3] = 13).contains("vertex"));
     assert!(refused(|set| set.box_m[1][2] = 2.0).contains("edges of the box"));
     assert!(refused(|set| set.box_m[0][1] = f32::NAN).contains("box"));
+}
+
+#[test]
+fn voxels_come_back_exactly_whatever_is_in_them() {
+    for (levels, seed) in [(0, 1), (1, 2), (3, 3), (5, 4)] {
+        let part = voxels(levels, seed);
+        let bytes = encode_voxels(&part).unwrap();
+        let elements = part.elements();
+        println!("{elements} elements without order in {} bytes", bytes.len());
+        assert_eq!(decode_voxels(&bytes).unwrap(), part);
+    }
+    let far = VoxelPart { voxel_m: 1e-9, glows: Vec::new(), bricks: Vec::new() };
+    assert_eq!(decode_voxels(&encode_voxels(&far).unwrap()).unwrap(), far);
 }
 
 #[test]

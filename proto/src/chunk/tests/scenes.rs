@@ -6,6 +6,7 @@ use crate::kinds::field::{
     FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey, TetrahedronSet,
 };
 use crate::kinds::sh::*;
+use crate::kinds::voxels::{Brick, BrickKey, Element, Glow, NormalCode, Voxel, VoxelPart, voxel_in_brick};
 use crate::manifest::{ChunkRef, ClusterRow, Layer, PrefixCheck};
 
 /// Numbers in 0..1 that look random and are the same everywhere.
@@ -132,6 +133,59 @@ pub(super) fn field(probes: usize, rank: u32, seed: u64) -> FieldPart {
         depths: (0..probes * MAP_POINTS).map(|at| (at % 700 * 90) as u16).collect(),
         factors,
         emitters: vec![EmitterIrradiance { emitter: 2, irradiance }],
+    }
+}
+
+/// Voxels of so many levels with every kind of element: of one normal and of many, of patches near and far, dark, glowing.
+pub(super) fn voxels(levels: u32, seed: u64) -> VoxelPart {
+    let mut noise = Noise(seed);
+    let glow = |emitter: u16| Glow { emitter, share: [1.0, 0.25 * f32::from(emitter), 1e-3] };
+    let mut bricks = Vec::new();
+    for level in (0..levels).rev() {
+        for cell in 0..1 << (levels - level) {
+            let key = BrickKey::new(level, glam::IVec3::new(cell - 3, -1, cell / 4));
+            bricks.push(brick(key, &mut noise));
+        }
+    }
+    VoxelPart { voxel_m: 0.125, glows: (0..3).map(glow).collect(), bricks }
+}
+
+fn brick(key: BrickKey, noise: &mut Noise) -> Brick {
+    let mut brick = Brick { key, voxels: Vec::new(), elements: Vec::new() };
+    let mut place = 0;
+    while place < 512 {
+        let elements = 1 + noise.below(3) as u16;
+        brick.voxels.push(Voxel { place: place as u16, elements });
+        for _ in 0..elements {
+            let voxel = key.first_voxel() + voxel_in_brick(place as u16);
+            brick.elements.push(element(voxel, key.level, noise));
+        }
+        place += 1 + noise.below(90);
+    }
+    brick
+}
+
+fn element(voxel: glam::IVec3, level: u32, noise: &mut Noise) -> Element {
+    let normal = match noise.below(3) {
+        0 => NormalCode([0, 32_767]),
+        1 => NormalCode([1234, -77]),
+        _ => NormalCode([0; 2].map(|_| noise.below(65_535) as i32 - 32_767).map(|at| at as i16)),
+    };
+    let cell = (2 * voxel).to_array().map(|at| at + noise.below(2) as i32);
+    let patch = match noise.below(8) {
+        0 => None,
+        1 => Some(PatchKey::of_cell(noise.below(15), [noise.below(300) as i32 - 150, 7, -9], 3, 5)),
+        2 => Some(PatchKey::of_cell(level / 2, cell.map(|at| at << (level - level / 2)), 5, 1023)),
+        direction => Some(PatchKey::of_cell(level, cell, direction as u8 - 3, noise.below(2))),
+    };
+    Element {
+        normal,
+        plane: (noise.below(65_536) as i32 - 32_768) as i16,
+        bits: u64::from(1 + noise.below(65_535)) << noise.below(48),
+        patch,
+        glow: noise.below(4) as u16,
+        is_backed: noise.below(2) == 0,
+        is_finest: noise.below(2) == 0,
     }
 }
 

@@ -2,8 +2,9 @@
 //! has the types in scope.
 
 use super::{
-    ChunkRef, ClusterRow, ClusterTransport, FieldPart, Geometry, MAP_POINTS, MOVES_MAX, NearHits,
-    NearSurface, PROBE_ROWS, PatchSet, ProbeBatch, Receivers, RelightHit, TetrahedronSet,
+    BRICKS_MAX, Brick, ChunkRef, ClusterRow, ClusterTransport, FieldPart, Geometry, MAP_POINTS, MOVES_MAX,
+    NearHits, NearSurface, PROBE_ROWS, PatchKey, PatchSet, ProbeBatch, Receivers, RelightHit, TetrahedronSet,
+    VOXEL_LEVELS_MAX, VoxelPart,
 };
 
 /// Every array has its length, every index its target, every number is finite.
@@ -84,6 +85,27 @@ pub fn assert_tetrahedra(set: &TetrahedronSet) {
     assert!(set.vertices.iter().all(|of| of[3] < set.probes + 8));
     let [low, high] = set.box_m;
     assert!((0..3).all(|axis| high[axis] > low[axis] || set.vertices.is_empty() && high[axis] == low[axis]));
+}
+
+/// Bricks and voxels are in order and hold something, and what elements name is there.
+pub fn assert_voxels(part: &VoxelPart) {
+    let order = |brick: &Brick| (VOXEL_LEVELS_MAX - brick.key.level, brick.key);
+    assert!(part.bricks.windows(2).all(|pair| order(&pair[0]) < order(&pair[1])));
+    for brick in &part.bricks {
+        assert!(brick.key.level < VOXEL_LEVELS_MAX);
+        assert!(brick.key.cell().abs().max_element() <= BRICKS_MAX);
+        assert!(!brick.voxels.is_empty() && brick.voxels.iter().all(|voxel| voxel.elements > 0));
+        assert!(brick.voxels.windows(2).all(|pair| pair[0].place < pair[1].place));
+        assert!(brick.voxels.last().is_none_or(|voxel| voxel.place < 512));
+        let elements: usize = brick.voxels.iter().map(|voxel| usize::from(voxel.elements)).sum();
+        assert_eq!(brick.elements.len(), elements);
+    }
+    let elements = || part.bricks.iter().flat_map(|brick| &brick.elements);
+    assert!(elements().all(|element| element.bits != 0));
+    assert!(elements().all(|element| usize::from(element.glow) <= part.glows.len()));
+    let is_patch = |key: PatchKey| key.level() <= 14 && key.direction() <= 5;
+    assert!(elements().filter_map(|element| element.patch).all(is_patch));
+    assert!(part.glows.iter().flat_map(|glow| glow.share).all(|share| share >= 0.0 && share.is_finite()));
 }
 
 /// Patches are in order, each over leaves that are there, each leaf over texels that are.

@@ -2,6 +2,7 @@
 
 use crate::kinds::field::{FieldSettings, LitSettings};
 use crate::kinds::prt::{self, PatchSettings};
+use crate::kinds::voxels::VoxelSettings;
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
 
@@ -36,6 +37,8 @@ kind_settings! {
         patches: PatchSettings,
         /// Clusters and factors.
         factors: FactorSettings,
+        /// Voxels.
+        voxels: VoxelSettings,
         /// Probes in free space.
         field: FieldSettings,
         /// Surfaces that have their light.
@@ -73,7 +76,7 @@ impl CloudSettings {
 impl Settings {
     /// Those of the relightable bake without its field.
     pub fn relightable(&self) -> prt::Settings {
-        let Self { preset, texels, place, transport, patches, factors, .. } = self.clone();
-        prt::Settings { preset, texels, place, transport, patches, factors }
+        let Self { preset, texels, place, transport, patches, factors, voxels, .. } = self.clone();
+        prt::Settings { preset, texels, place, transport, patches, factors, voxels }
     }
 }

@@ -4,6 +4,7 @@ use super::Settings;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
 use crate::kinds::prt::{self, tasks as relightable};
+use crate::kinds::voxels::tasks as voxels;
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers and patches → the tasks of a relightable bake, probes in free space, and the plan of the rest.
@@ -19,6 +20,8 @@ pub const ASSEMBLE: TaskKind = TaskKind { name: "cloud.assemble", version: 1 };
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let prt::Settings { texels, place, .. } = settings.relightable();
     let shared = SceneTasks::of(scene).unwrapped(&texels).placed(&place).patched();
-    let rest = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW, GATHER, LIT, ASSEMBLE];
+    let [region, top] = [voxels::REGION, voxels::TOP];
+    let surfaces = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW, region, top];
+    let rest = [&surfaces[..], &[GATHER, LIT, ASSEMBLE]].concat();
     PLAN.planned("clusters and probes", scene, settings, shared, &rest)
 }

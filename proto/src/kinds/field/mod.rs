@@ -17,6 +17,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::voxels::VoxelTotals;
 use super::{Figures, Warning, prt};
 use crate::manifest::{ClusterTotals, Manifest, ManifestError, all_finite};
 use crate::relight::Inconsistent;
@@ -46,6 +47,9 @@ pub struct Body {
     pub patches: u64,
     /// The field.
     pub field: FieldTotals,
+    /// Voxels, if there are some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub voxels: Option<VoxelTotals>,
 }
 
 /// Sums over a field's probes.
@@ -99,8 +103,9 @@ pub(super) fn check(manifest: &Manifest) -> Result<(), ManifestError> {
 
 /// Figures for a summary; `roles` are those of the field's chunks.
 pub(super) fn summary(manifest: &Manifest, roles: &[&str]) -> Result<Figures, ManifestError> {
-    let Body { totals, patches, field } = manifest.body()?;
+    let Body { totals, patches, field, voxels } = manifest.body()?;
     let mut figures = prt::summary(manifest, &totals, patches);
+    prt::add_voxels(&mut figures, manifest, voxels);
     figures.json.insert("field".into(), json!(field));
     figures.words += &field.words(bytes_of(manifest, roles));
     Ok(figures)
@@ -113,8 +118,9 @@ pub(super) fn warnings(manifest: &Manifest) -> Result<Vec<Warning>, ManifestErro
 
 /// All figures.
 pub(super) fn inspection(manifest: &Manifest, roles: &[&str]) -> Result<Figures, ManifestError> {
-    let Body { totals, patches, field } = manifest.body()?;
+    let Body { totals, patches, field, voxels } = manifest.body()?;
     let mut figures = prt::inspection(manifest, &totals, patches);
+    prt::add_voxels(&mut figures, manifest, voxels);
     figures.json.insert("field".into(), json!(field));
     figures.words += &format!("field       {}", field.words(bytes_of(manifest, roles)));
     Ok(figures)

@@ -7,6 +7,7 @@ pub mod tasks;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::voxels::{self, VOXELS, VoxelTotals};
 use super::{Figures, Kind, Rates, UnderWay, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
@@ -37,6 +38,9 @@ pub struct Body {
     pub totals: ClusterTotals,
     /// Surface patches.
     pub patches: u64,
+    /// Voxels, if there are some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub voxels: Option<VoxelTotals>,
 }
 
 impl Kind for Prt {
@@ -69,7 +73,7 @@ impl Kind for Prt {
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {
-        &[]
+        &[voxels::ROW]
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
@@ -77,8 +81,10 @@ impl Kind for Prt {
     }
 
     fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, patches } = manifest.body()?;
-        Ok(summary(manifest, &totals, patches))
+        let Body { totals, patches, voxels } = manifest.body()?;
+        let mut figures = summary(manifest, &totals, patches);
+        add_voxels(&mut figures, manifest, voxels);
+        Ok(figures)
     }
 
     fn warnings(&self, manifest: &Manifest) -> Result<Vec<Warning>, ManifestError> {
@@ -86,9 +92,19 @@ impl Kind for Prt {
     }
 
     fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
-        let Body { totals, patches } = manifest.body()?;
-        Ok(inspection(manifest, &totals, patches))
+        let Body { totals, patches, voxels } = manifest.body()?;
+        let mut figures = inspection(manifest, &totals, patches);
+        add_voxels(&mut figures, manifest, voxels);
+        Ok(figures)
     }
+}
+
+/// Adds the figures of voxels.
+pub(super) fn add_voxels(figures: &mut Figures, manifest: &Manifest, voxels: Option<VoxelTotals>) {
+    let Some(voxels) = voxels else { return };
+    let bytes = manifest.chunks(VOXELS).iter().map(|chunk| chunk.bytes).sum();
+    figures.words += &format!("voxels      {}", voxels.words(bytes));
+    figures.json.insert("voxels".into(), json!(voxels));
 }
 
 /// Checks the relightable part of a manifest, whatever else its kind has.

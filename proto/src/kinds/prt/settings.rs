@@ -1,6 +1,7 @@
 //! Settings of the relightable bake.
 
 use crate::kinds::Rates;
+use crate::kinds::voxels::VoxelSettings;
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
 
@@ -42,6 +43,8 @@ kind_settings! {
         patches: PatchSettings,
         /// Clusters and factors.
         factors: FactorSettings,
+        /// Voxels.
+        voxels: VoxelSettings,
     }
 }
 

@@ -3,7 +3,7 @@
 use super::Settings;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
-use crate::kinds::{SceneTasks, TaskKind};
+use crate::kinds::{SceneTasks, TaskKind, voxels};
 
 /// Receivers and patches → cluster cells, the chunk of patches, the manifest without clusters for whoever follows the bake, and
 /// the plan of the rest.
@@ -21,5 +21,6 @@ pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 6 };
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched();
-    PLAN.planned("clusters", scene, settings, shared, &[TRANSPORT, COLOUR, OVERVIEW, ASSEMBLE])
+    let rest = [TRANSPORT, COLOUR, OVERVIEW, voxels::tasks::REGION, voxels::tasks::TOP, ASSEMBLE];
+    PLAN.planned("clusters", scene, settings, shared, &rest)
 }

@@ -12,13 +12,17 @@ use lightkiln_proto::kinds::field::{
     encode_field, encode_tetrahedra,
 };
 use lightkiln_proto::kinds::sh::*;
+use lightkiln_proto::kinds::voxels::{
+    BRICKS_MAX, Brick, BrickKey, Element, Glow, LEVELS_MAX as VOXEL_LEVELS_MAX, NormalCode, Voxel, VoxelPart,
+    decode_voxels, decode_voxels_prefix, encode_voxels, voxel_layers,
+};
 use lightkiln_proto::manifest::{ChunkRef, ClusterRow};
 
 use super::container::{packed, unpacked};
 use super::{Target, taken};
 use whole::{
     assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_tetrahedra,
-    assert_whole,
+    assert_voxels, assert_whole,
 };
 
 /// A cluster.
@@ -64,6 +68,15 @@ pub const TETRAHEDRA: Target = Target {
     read: |bytes| read(bytes, decode_tetrahedra),
     check: |bytes| each_form(bytes, check_tetrahedra),
     seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/tetrahedra-v4.lkc")]),
+    memory_max,
+};
+
+/// Elements in voxels.
+pub const VOXELS: Target = Target {
+    name: "voxels",
+    read: |bytes| read(bytes, decode_voxels),
+    check: |bytes| each_form(bytes, check_voxels),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/voxels-v4.lkc"), &wall_in_voxels()]),
     memory_max,
 };
 
@@ -236,6 +249,24 @@ fn check_tetrahedra(bytes: &[u8]) {
     assert_eq!(decode_tetrahedra(&again).expect("what was encoded can be decoded"), set);
 }
 
+fn check_voxels(bytes: &[u8]) {
+    let total = bytes.len() as u64;
+    let layers = voxel_layers(bytes, total);
+    if let Ok((part, layer)) = decode_voxels_prefix(&bytes[..bytes.len() / 2], total) {
+        assert_voxels(&part);
+        assert!(layer.bytes <= total / 2);
+    }
+    let Ok(part) = decode_voxels(bytes) else { return };
+    assert_voxels(&part);
+    assert_eq!(layers.expect("it decodes").last().map(|layer| layer.bytes), Some(total));
+    // A chunk that unpacks to nearly more than it may can be too short once it is packed better.
+    let again = match encode_voxels(&part) {
+        Err(ChunkError::OutOfRange { what: "decoded bytes", .. }) => return,
+        again => again.expect("what was decoded can be encoded"),
+    };
+    assert_eq!(decode_voxels(&again).expect("what was encoded can be decoded"), part);
+}
+
 fn check_field(bytes: &[u8]) {
     let Ok(part) = decode_field(bytes) else { return };
     assert_field(&part);
@@ -330,6 +361,36 @@ fn outside_lightmap() -> Vec<u8> {
     };
     let inside = Draw { front: Some(7), lightmap_texel: vec![[1.5, 2.0]; 3], ..outside.clone() };
     encode_geometry(&Geometry { draws: vec![outside, inside] }).expect("the meshes are whole")
+}
+
+/// A slanted wall of two sides in two levels of voxels.
+fn wall_in_voxels() -> Vec<u8> {
+    let element = |level: u32, voxel: [i32; 3], direction: u8| Element {
+        normal: NormalCode([[9000, 23_000], [-9000, -23_000]][usize::from(direction % 2)]),
+        plane: (voxel[0] * 700) as i16,
+        bits: 0xff00_0000_0ff0_00ff << voxel[2],
+        patch: (direction < 5).then(|| PatchKey::of_cell(level, voxel.map(|at| 2 * at + 1), direction, 1)),
+        glow: (voxel[0] % 3 == 0).into(),
+        is_backed: direction == 4,
+        is_finest: voxel[2] == 1,
+    };
+    let brick = |level: u32, x: i32| {
+        let key = BrickKey::new(level, [x, -1, 0].into());
+        let place = |index: u16| 65 * (index % 7) + index / 7;
+        let mut voxels: Vec<Voxel> =
+            (0..20).map(|index| Voxel { place: place(index), elements: 1 + index % 2 }).collect();
+        voxels.sort_by_key(|voxel| voxel.place);
+        let of_voxel = |voxel: &Voxel| {
+            let place = i32::from(voxel.place);
+            let first = key.first_voxel();
+            let at = [first.x + place % 8, first.y + place / 8 % 8, first.z + place / 64];
+            (0..voxel.elements).map(move |side| element(level, at, 4 + side as u8)).collect::<Vec<_>>()
+        };
+        Brick { key, elements: voxels.iter().flat_map(of_voxel).collect(), voxels }
+    };
+    let bricks = vec![brick(1, 0), brick(0, 0), brick(0, 1)];
+    let glows = vec![Glow { emitter: 3, share: [0.5, 1.0, 0.0] }];
+    encode_voxels(&VoxelPart { voxel_m: 0.25, glows, bricks }).expect("a good wall")
 }
 
 /// Two levels of a tree of patches over 24 receivers, and a sky.

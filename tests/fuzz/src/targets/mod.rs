@@ -26,12 +26,13 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 16] = [
+pub const TARGETS: [Target; 17] = [
     chunks::CLUSTER,
     layers::LAYERS,
     chunks::PROBES,
     chunks::FIELD,
     chunks::TETRAHEDRA,
+    chunks::VOXELS,
     chunks::GEOMETRY,
     chunks::TEXTURE,
     chunks::PATCHES,

@@ -89,6 +89,7 @@ held! {
     hostile_probes_do_no_harm: "probes";
     hostile_fields_do_no_harm: "field";
     hostile_tetrahedra_do_no_harm: "tetrahedra";
+    hostile_voxels_do_no_harm: "voxels";
     hostile_geometry_does_no_harm: "geometry";
     hostile_textures_do_no_harm: "texture";
     hostile_patches_do_no_harm: "patches";
