@@ -8,7 +8,7 @@ use lightkiln_proto::relight::{
     LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, Sky,
 };
 
-use super::FreeSpace;
+use super::{FreeSpace, SettledWalks};
 use crate::error::Result;
 use crate::fetch::Source;
 use crate::passes::atlas::Lightmap;
@@ -108,6 +108,8 @@ pub struct UnshadowedArrays {
 pub struct SettledLight<'a> {
     /// The shading function.
     pub indirect: Box<dyn IndirectIrradiance + 'a>,
+    /// Its voxels, of a bake that has some.
+    pub walks: Option<SettledWalks<'a>>,
     /// Bounces; 0 for a kind without feedback.
     pub bounces: u32,
     /// Whether they had converged before the last one allowed.

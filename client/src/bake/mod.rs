@@ -9,6 +9,7 @@ mod free_space;
 mod kind;
 mod light;
 mod places;
+mod walks;
 
 use std::sync::Arc;
 
@@ -23,6 +24,7 @@ pub use light::{
     DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, Overlay, ReceiverBuffers,
     ReceiverLight, SettledLight, SettledReceivers, Unshadowed, UnshadowedArrays,
 };
+pub use walks::SettledWalks;
 
 /// A whole bake, ready to be lit.
 #[derive(Debug)]

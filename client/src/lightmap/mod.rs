@@ -9,16 +9,17 @@ use std::sync::OnceLock;
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::content::ClusterTransport;
+use lightkiln_proto::kinds::voxels::VoxelTable;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
     Columns, Incoming, Inconsistent, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, NO_PATCH,
-    Settled, SlotTable, Transport,
+    PatchTable, Settled, SlotTable, Transport,
 };
 use wgpu::TextureViewDimension as Dimension;
 
 use crate::bake::{
     DebugPage, IncomingDirect, Light, LightPasses, LitScene, Overlay, ReceiverLight, SettledLight,
-    SettledReceivers, Unshadowed, UnshadowedArrays,
+    SettledReceivers, SettledWalks, Unshadowed, UnshadowedArrays,
 };
 use crate::error::{ClientError, Result};
 use crate::passes::atlas::reference::{AtlasPages, read, spread};
@@ -48,6 +49,11 @@ pub trait ClientColumns: Columns + 'static {
     /// Uploads the pass that makes λ of the light at receivers.
     fn pass(&self, gpu: &Gpu, resident: &Resident) -> Result<Box<dyn ColumnsPass>>;
 
+    /// Surface patches, where columns are those.
+    fn patches(&self) -> Option<&PatchTable> {
+        None
+    }
+
     /// The finest patch of each of so many slots, [`NO_PATCH`] of those in none; `None` for columns without patches.
     fn patch_of_slots(&self, slots: usize) -> Option<Vec<u32>> {
         let _ = slots;
@@ -64,6 +70,8 @@ pub struct LightmapLight<C> {
     pub texels: AtlasTexels,
     /// Points of receivers' texels.
     pub points: TexelPoints,
+    /// Elements, of a bake that has some.
+    pub voxels: Option<VoxelTable>,
     /// Made when it is first asked for.
     lod: OnceLock<LodTable>,
 }
@@ -94,7 +102,7 @@ impl<C: Columns> LightmapLight<C> {
         let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers);
         let points =
             TexelPoints::new((&scene.draws, &scene.lightmap), &transport.slots, &transport.receivers);
-        Ok(Self { transport, texels, points, lod: OnceLock::new() })
+        Ok(Self { transport, texels, points, voxels: None, lod: OnceLock::new() })
     }
 
     /// Bounces until they converge, E_dir from shadow maps.
@@ -125,6 +133,22 @@ impl<C: Columns> LightmapLight<C> {
 }
 
 impl<C: ClientColumns> LightmapLight<C> {
+    /// Voxels with the λ of the last bounce.
+    pub fn walks(&self, lit: &LitScene<'_>, lambda: Vec<Vec4>) -> Option<SettledWalks<'_>> {
+        let (voxels, patches) = (self.voxels.as_ref()?, self.transport.columns.patches()?);
+        let manifest = &lit.scene.manifest;
+        let scales = lit.unshadowed.emitter_scale;
+        let mut emitters = vec![Vec3::ZERO; manifest.emitters.len()];
+        for material in &manifest.materials {
+            let Some(emitter) = material.emitter.map(usize::from) else { continue };
+            let scale = scales.get(emitter).copied().unwrap_or(1.0);
+            if let Some(radiance) = emitters.get_mut(emitter) {
+                *radiance = Vec3::from(material.emissive) * scale;
+            }
+        }
+        Some(SettledWalks { voxels, patches, lambda, emitters })
+    }
+
     /// Each of the finest patches in a colour of its own; grey where there is none.
     fn by_patch(&self) -> Option<Vec<Vec4>> {
         let patches = self.transport.columns.patch_of_slots(self.transport.receivers.len())?;
@@ -169,9 +193,10 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
     }
 
     fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {
-        let Settled { emit, ind, bounces, converged, .. } = self.settled(lit, limit).light;
+        let Settled { emit, ind, lambda, bounces, converged, .. } = self.settled(lit, limit).light;
         let pages = spread(&lit.scene.lightmap, &self.texels, &emit, &ind);
-        SettledLight { indirect: Box::new(LitPages { scene: lit.scene, pages }), bounces, converged }
+        let walks = self.walks(lit, lambda);
+        SettledLight { indirect: Box::new(LitPages { scene: lit.scene, pages }), walks, bounces, converged }
     }
 
     fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {

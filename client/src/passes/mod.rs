@@ -25,6 +25,7 @@ pub mod shade;
 pub mod shadow;
 pub mod show;
 pub mod stopwatch;
+pub mod walk;
 
 /// Shaders of the passes that stand alone: name, as a file has it, and whole source. The shading pass' is [`shade::Shading::shader`].
 pub const SHADERS: &[(&str, &str)] = &[

@@ -1,12 +1,14 @@
 //! The whole frame on the processor, by the passes' references.
 
 use super::{Prepared, jitters};
+use crate::bake::{SettledLight, SettledWalks};
 use crate::error::{ClientError, Result};
 use crate::passes::fog::FogNumbers;
 use crate::passes::fog::reference::Froxels;
-use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::{Lit, shade};
+use crate::passes::shade::{IndirectIrradiance, ShadeView};
 use crate::passes::shadow::reference::draw;
+use crate::passes::walk::reference::{Walked, seen};
 use crate::picture::{Exposure, Film, Picture};
 use crate::scene::LoadedScene;
 
@@ -15,26 +17,38 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
     let Prepared { bake, scene, bounds_m, view, plan, sky, lod } = prepared;
     let scene: &LoadedScene = scene;
     let maps = draw(scene, plan);
-    let mut settled = bake.light.settle(&prepared.lit(&maps), view.limit);
+    let SettledLight { indirect, walks, bounces, converged } =
+        bake.light.settle(&prepared.lit(&maps), view.limit);
+    if view.walks.any() && walks.is_none() {
+        let problem = "need a bake with voxels; bake it with --set voxels=on".to_owned();
+        return Err(ClientError::Argument { what: "walks".to_owned(), problem });
+    }
+    let walked = walks.as_ref().filter(|_| view.walks.any()).map(SettledWalks::light);
+    let mut indirect: Box<dyn IndirectIrradiance + '_> = match &walked {
+        Some(light) => Box::new(Walked { indirect, light, walks: view.walks }),
+        None => indirect,
+    };
     let fog = view.fog.map(|fog| {
         let steady = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, [0.0; 2])?;
         let numbers = FogNumbers::new(&fog, &view.camera, &steady, view.size(), *bounds_m);
-        let mean_radiance = |point| settled.indirect.mean_radiance(point);
+        let mean_radiance = |point| indirect.mean_radiance(point);
         Ok::<_, ClientError>(Froxels::new(numbers, (plan, &maps), &mean_radiance))
     });
     let fog = fog.transpose()?;
     let mut film: Option<Film> = None;
     for jitter in jitters(view.samples) {
         let shade_view = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, jitter)?;
-        settled.indirect.prepare_view(&shade_view, view.size());
-        let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
+        indirect.prepare_view(&shade_view, view.size());
+        let (indirect, emitter_scale) = (&*indirect, &view.emitter_scale[..]);
         let panorama = view.panorama.as_deref();
         let lit = Lit { scene, plan, maps: &maps, indirect, panorama, emitter_scale, fog: fog.as_ref() };
-        let radiance = shade(lit, &shade_view, view.size());
+        let radiance = match walked.as_ref().filter(|_| view.walks.eye) {
+            Some(light) => seen(light, &shade_view, view.size()),
+            None => shade(lit, &shade_view, view.size()),
+        };
         film.get_or_insert_with(|| Film::new(view.size(), view.tone, exposure, &radiance)).add(&radiance);
     }
     let film = film.unwrap_or_else(|| Film::new(view.size(), view.tone, exposure, &[]));
-    let (bounces, converged) = (settled.bounces, settled.converged);
     let lod = lod.as_ref().and_then(|plan| bake.light.count_lod(plan));
     Ok(Picture { by_reference: true, bounces, converged, lod, ..film.develop() })
 }

@@ -56,7 +56,7 @@ impl Light for Facing {
     }
 
     fn settle<'a>(&'a self, _: &LitScene<'a>, _: Limit) -> SettledLight<'a> {
-        SettledLight { indirect: Box::new(Seen(Vec3::ZERO)), bounces: 0, converged: true }
+        SettledLight { indirect: Box::new(Seen(Vec3::ZERO)), walks: None, bounces: 0, converged: true }
     }
 
     fn passes(

@@ -12,7 +12,7 @@ use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{
-    Backend, Fog, StreamedBake, View, ViewPath, debug_picture, render, render_path,
+    Backend, Fog, StreamedBake, View, ViewPath, Walks, debug_picture, render, render_path,
 };
 use lightkiln_client::scene::{Object, Recolour, check_recolours};
 use lightkiln_client::stream::{Budget, Streamed};
@@ -54,6 +54,10 @@ pub struct LookArguments {
     /// light of probes where the bake has some; surfaces are lit as without it
     #[arg(long, value_name = "FOG", value_parser = parse_fog, help_heading = "Picture")]
     fog: Option<Fog>,
+    /// Ambient occlusion within so many metres: bounced light is less where walks through voxels meet something near. Of bakes with
+    /// voxels=on, drawn by the processor
+    #[arg(long, value_name = "METRES", help_heading = "Picture")]
+    ao: Option<f32>,
     /// Levels of detail by distance and view, for bakes of many receivers: "fine", "balanced", "coarse", or words, as
     /// "balanced level1=0.2,3,16,1,2 behind=8": where a level begins (in scene diagonals, or metres as 20m), tree level of its columns, rank,
     /// level of its receivers (0 all, 1 a quarter, …), bounces from one update to the next [default: all detail]
@@ -160,6 +164,7 @@ impl LookArguments {
         view.tone = self.tone.into();
         view.exposure = Exposure::Auto { stops: self.exposure };
         view.fog = self.fog;
+        view.walks.occlusion_m = self.ao;
         if view.fog.is_some() && bake.light.medium().is_none() {
             notes.push(format!(
                 "bakes of kind {} have no probes in free space: fog shows light of lamps alone, none of skies and surfaces",
@@ -275,7 +280,8 @@ impl PictureArguments {
             let mut bake = self.loaded(source, kinds)?;
             objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
             reel.show_in(&mut bake, &mut stances)?;
-            let view = View { objects: stances, ..self.view(&bake, lighting, path)? };
+            let mut view = View { objects: stances, ..self.view(&bake, lighting, path)? };
+            view.walks = Walks { occlusion_m: view.walks.occlusion_m, ..reel.walks() };
             let full = match self.write_all(&bake, &view, path, png) {
                 Err(full @ ClientError::AdapterFull { .. }) => full,
                 drawn => return Ok(drawn?),

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use lightkiln_client::bake::LoadedBake;
 use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
-use lightkiln_client::preview::{PATH_FILE_MAX, ProbeColours, ViewPath, probe_edges, probe_spheres};
+use lightkiln_client::preview::{PATH_FILE_MAX, ProbeColours, ViewPath, Walks, probe_edges, probe_spheres};
 use lightkiln_client::scene::{Object, Stance};
 use lightkiln_client::stream::{Baked, Budget, Streamed};
 use lightkiln_proto::relight::LevelCount;
@@ -30,6 +30,10 @@ pub enum ShowName {
     Components,
     /// Edges between probes, along which light is told: green ones, and red ones that a surface cuts, whose light depth maps stop
     Edges,
+    /// Surfaces as walks through voxels meet them from the eye, without any mesh; of bakes with voxels=on
+    Elements,
+    /// Surfaces whose indirect light is that of 64 walks through voxels instead of the lightmap's; of bakes with voxels=on
+    Walks,
 }
 
 /// How much light to fetch, and how many pictures to draw of it.
@@ -86,7 +90,7 @@ impl Reel {
     /// Puts the parts that are to be shown of a bake into it, beside objects with these stances.
     pub fn show_in(&self, bake: &mut LoadedBake, stances: &mut Vec<Stance>) -> Result<()> {
         let shown = match self.show {
-            None => return Ok(()),
+            None | Some(ShowName::Elements | ShowName::Walks) => return Ok(()),
             Some(ShowName::Probes) => probe_spheres(bake, ProbeColours::White)?,
             Some(ShowName::Depth) => probe_spheres(bake, ProbeColours::Depth)?,
             Some(ShowName::Components) => probe_spheres(bake, ProbeColours::Components)?,
@@ -95,6 +99,12 @@ impl Reel {
         bake.add_object(shown)?;
         stances.push(Stance::default());
         Ok(())
+    }
+
+    /// What walks through voxels show.
+    pub fn walks(&self) -> Walks {
+        let eye = self.show == Some(ShowName::Elements);
+        Walks { eye, irradiance: self.show == Some(ShowName::Walks), ..Walks::default() }
     }
 
     /// Refuses to show what a part of a bake is made of.

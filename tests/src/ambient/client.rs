@@ -52,7 +52,7 @@ impl Light for Constant {
     }
 
     fn settle<'a>(&'a self, _: &LitScene<'a>, _: Limit) -> SettledLight<'a> {
-        SettledLight { indirect: Box::new(*self), bounces: 0, converged: true }
+        SettledLight { indirect: Box::new(*self), walks: None, bounces: 0, converged: true }
     }
 
     fn passes(

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use glam::{DVec3, Vec3, Vec4};
 use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, Texel};
-use lightkiln_proto::kinds::{captured, cloud, field, grid, prt, sh};
+use lightkiln_proto::kinds::{captured, cloud, field, grid, prt, sh, voxels};
 use lightkiln_proto::manifest::CLUSTERS;
 use lightkiln_proto::relight::PatchTable;
 use lightkiln_worker::evaluate::EvaluationError;
@@ -82,6 +82,18 @@ impl Decoded {
         let (parts, tetrahedra) = parts(bake)?;
         let (emitters, columns) = (bake.manifest.emitters.len(), &baked.transport.columns);
         Ok(field::FieldTable::join(&parts, tetrahedra.as_ref(), emitters, columns)?)
+    }
+
+    /// The voxels of a bake that has some, and the patches that they name.
+    pub fn voxels(&self, bake: &LocalBake) -> Result<(voxels::VoxelTable, &PatchTable)> {
+        let Self::Patches(baked) = self else { bail!("voxels name patches") };
+        let chunks = bake.manifest.chunks(voxels::VOXELS).iter();
+        let parts: Vec<voxels::VoxelPart> = chunks
+            .map(|chunk| Ok(voxels::decode_voxels(&bake.chunk(chunk.digest)?)?))
+            .collect::<Result<_>>()?;
+        ensure!(!parts.is_empty(), "the bake has no voxels");
+        let patches = &baked.transport.columns;
+        Ok((voxels::VoxelTable::join(parts.iter(), |key| patches.number(key))?, patches))
     }
 
     /// Slot of a texel; `None` for those that no light can reach.

@@ -26,3 +26,4 @@ mod setup;
 mod smallest;
 mod stripes;
 mod transforms;
+mod voxels;

@@ -62,6 +62,11 @@ pub trait Evaluated: Send + Sync {
         None
     }
 
+    /// The bake with E_ind by walks through its voxels, if it has some.
+    fn by_walks(self: Box<Self>) -> Option<Box<dyn Evaluated>> {
+        None
+    }
+
     /// The light that alone the bake can be measured under: that which it was baked with, where it cannot be relit.
     fn own_light(&self) -> Option<TestLight> {
         None

@@ -39,7 +39,11 @@ pub struct FactoredBake<C> {
     anew: Option<Anew>,
     /// Light of the lightings that were asked for.
     known: Mutex<Vec<(Lighting, Arc<Light>)>>,
+    by_walks: Option<ByWalks<C>>,
 }
+
+/// Makes of a bake the same with E_ind by walks.
+pub type ByWalks<C> = Box<dyn FnOnce(FactoredBake<C>) -> Box<dyn Evaluated> + Send + Sync>;
 
 impl<C: Columns> FactoredBake<C> {
     /// Decodes a bake's clusters and finds their receivers in the world that `context` has, that of its transport tasks.
@@ -56,7 +60,20 @@ impl<C: Columns> FactoredBake<C> {
         let cells = cells_of_task(context).map_err(EvaluationError::Prepare)?.as_ref().clone();
         let baked = Baked::decode(manifest, bytes, columns)?;
         let receiver_of = same_world(manifest, &world, &baked)?;
-        Ok(Self { world, transport, baked, cells, receiver_of, anew: None, known: Mutex::default() })
+        let known = Mutex::default();
+        Ok(Self { world, transport, baked, cells, receiver_of, anew: None, known, by_walks: None })
+    }
+
+    /// The bake, which can be walked.
+    #[must_use]
+    pub fn walkable(mut self, by_walks: ByWalks<C>) -> Self {
+        self.by_walks = Some(by_walks);
+        self
+    }
+
+    /// The world that it was made anew in.
+    pub fn world(&self) -> &World {
+        &self.world
     }
 
     /// The clusters' columns.
@@ -75,7 +92,7 @@ impl<C: Columns> FactoredBake<C> {
     }
 
     /// Slot of a place's receiver; `None` for those that no light can reach.
-    fn slot(&self, place: &Place) -> Option<u32> {
+    pub fn slot(&self, place: &Place) -> Option<u32> {
         let (block, texel) = self.world.lightmap.name_of(receiver_of(place));
         self.baked.transport.slots.slot_of(block, texel)
     }
@@ -129,6 +146,11 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
 
     fn lightmap(&self) -> Option<&dyn EvaluatedLightmap> {
         Some(self)
+    }
+
+    fn by_walks(mut self: Box<Self>) -> Option<Box<dyn Evaluated>> {
+        let by_walks = self.by_walks.take()?;
+        Some(by_walks(*self))
     }
 
     fn chunk_of(&self, place: &Place) -> Option<usize> {

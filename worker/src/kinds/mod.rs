@@ -6,6 +6,7 @@ pub mod field;
 pub mod grid;
 pub mod prt;
 pub mod sh;
+pub mod voxels;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

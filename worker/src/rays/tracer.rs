@@ -252,6 +252,12 @@ impl Tracer {
         self.tree.visit_box(low, high, visit);
     }
 
+    /// Whether a triangle is a wall at the barycentric weights (of corners 1 and 2).
+    pub fn is_wall_at(&self, triangle: u32, barycentric: [f32; 2]) -> bool {
+        let masks = self.alpha.as_ref().filter(|alpha| alpha.is_masked(triangle));
+        masks.is_none_or(|alpha| alpha.stopped(triangle, barycentric) >= WALL)
+    }
+
     fn triangle(&self, at: &BlockHit) -> u32 {
         self.tree.triangles[at.block][at.lane]
     }

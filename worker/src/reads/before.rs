@@ -2,7 +2,9 @@
 
 use lightkiln_proto::jobs::Artefact;
 
-use crate::task::{Context, FetchError, TaskError};
+use super::record::{RECORD_ARTEFACT, Record};
+use super::stage::Stage;
+use crate::task::{Context, FetchError, TaskError, TaskOutput};
 
 /// The value of that name among outputs; `None` if it is gone or of other code.
 pub fn of_before<T>(
@@ -38,4 +40,35 @@ pub fn outputs_of_before(
         }
     }
     Ok(Some(all))
+}
+
+/// Remains of tasks alike.
+pub enum Before {
+    /// The result of one: all that it read is as it was.
+    Kept(TaskOutput),
+    /// Nothing that could be taken, and why.
+    Changed(String),
+}
+
+/// The result of a task alike, if all that it read is as it was, with the note `kept`.
+pub fn before(context: &Context, stage: &Stage, kept: &str) -> Result<Before, TaskError> {
+    let mut why = match context.alike {
+        [] => "none like them were before".to_owned(),
+        _ => "those like them before left no record, as they met too much, or it is gone".to_owned(),
+    };
+    for outputs in context.alike {
+        let Some(record) = of_before(context, outputs, RECORD_ARTEFACT, Record::decoded)? else { continue };
+        let changes = record.changes(stage);
+        if changes.any {
+            why = format!("{} has changed", changes.first.as_deref().unwrap_or("something"));
+            continue;
+        }
+        let Some(artefacts) = outputs_of_before(context, outputs, "")? else {
+            "nothing that they met has changed, but what was before is gone".clone_into(&mut why);
+            continue;
+        };
+        let note = kept.to_owned();
+        return Ok(Before::Kept(TaskOutput { artefacts, note, ..TaskOutput::default() }));
+    }
+    Ok(Before::Changed(why))
 }

@@ -13,8 +13,9 @@ mod stage;
 mod triangles;
 
 pub use alike::{Common, alike};
-pub use before::{of_before, outputs_of_before};
+pub use before::{Before, before, of_before, outputs_of_before};
 pub use marks::{Bytes, Mark, Name, places_in, union};
 pub use own::Reads;
+pub use patches::branches;
 pub use record::{Changes, RECORD_ARTEFACT, Record};
 pub use stage::{STAGE_ARTEFACT, Stage};

@@ -49,6 +49,12 @@ pub fn read(tree: &PatchTree, leaves: &[u32], by_share: &[u32]) -> Vec<Name> {
     names
 }
 
+/// Names of the small patches, parts of no other small one, that some leaves, ascending, lie in.
+pub fn branches(tree: &PatchTree, leaves: &[u32]) -> Vec<Name> {
+    let names = read(tree, leaves, &[]);
+    names.into_iter().filter(|name| name.part() == Part::Branch).collect()
+}
+
 fn is_small(tree: &PatchTree, patch: u32) -> bool {
     tree.patches[patch as usize].key.level() <= FINE_LEVEL
 }

@@ -66,7 +66,7 @@ impl Light for CapturedLight {
     }
 
     fn settle<'a>(&'a self, _: &LitScene<'a>, _: Limit) -> SettledLight<'a> {
-        SettledLight { indirect: Box::new(Shown(self)), bounces: 0, converged: true }
+        SettledLight { indirect: Box::new(Shown(self)), walks: None, bounces: 0, converged: true }
     }
 
     fn at_receivers(&self, _: &LitScene<'_>, _: Limit) -> Option<SettledReceivers> {

@@ -119,8 +119,10 @@ impl Light for FieldLight {
         let Lit { light, .. } = self.lightmap.settled(lit, limit);
         let pages = spread(&lit.scene.lightmap, &self.lightmap.texels, &light.emit, &light.ind);
         let rows = self.rows(&light, lit.unshadowed);
+        let (bounces, converged) = (light.bounces, light.converged);
+        let walks = self.lightmap.walks(lit, light.lambda);
         let shown = Shown { scene: lit.scene, pages, field: &self.field, rows };
-        SettledLight { indirect: Box::new(shown), bounces: light.bounces, converged: light.converged }
+        SettledLight { indirect: Box::new(shown), walks, bounces, converged }
     }
 
     fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {

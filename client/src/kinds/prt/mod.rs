@@ -6,9 +6,10 @@ mod stream;
 
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
+use lightkiln_proto::kinds::voxels::{VOXELS, VoxelTable, decode_voxels};
 use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::{CLUSTERS, Manifest};
-use lightkiln_proto::relight::{NO_PATCH, PatchTable};
+use lightkiln_proto::relight::{Inconsistent, NO_PATCH, PatchTable};
 
 use crate::bake::{ClientKind, Light, LightStream};
 use crate::error::{ClientError, Result};
@@ -60,7 +61,20 @@ pub fn load(source: &Source, scene: &LoadedScene) -> Result<LightmapLight<PatchT
         clusters: decoded(source, manifest, CLUSTERS, |bytes| Ok(chunk::decode_cluster(bytes)?))?,
         patches: decoded(source, manifest, prt::PATCHES, |bytes| Ok(chunk::decode_patches(bytes)?))?,
     };
-    assemble(scene, &contents)
+    let mut light = assemble(scene, &contents)?;
+    light.voxels = voxels(source, manifest, &light.transport.columns)?;
+    Ok(light)
+}
+
+/// Fetches and decodes the voxels of a bake that has some.
+pub fn voxels(source: &Source, manifest: &Manifest, patches: &PatchTable) -> Result<Option<VoxelTable>> {
+    let parts = decoded(source, manifest, VOXELS, |bytes| Ok(decode_voxels(bytes)?))?;
+    if parts.is_empty() {
+        return Ok(None);
+    }
+    let table = VoxelTable::join(parts.iter(), |key| patches.number(key))
+        .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
+    Ok(Some(table))
 }
 
 /// Joins decoded chunks; anything that contradicts the manifest or another chunk is an error.
@@ -78,25 +92,17 @@ fn one_of(sets: &[PatchSet]) -> Result<&PatchSet> {
 }
 
 impl ClientColumns for PatchTable {
+    fn patches(&self) -> Option<&PatchTable> {
+        Some(self)
+    }
+
     fn pass(&self, gpu: &Gpu, resident: &Resident) -> Result<Box<dyn ColumnsPass>> {
         Ok(Box::new(PatchesPass::new(gpu, self, resident)?))
     }
 
     fn patch_of_slots(&self, slots: usize) -> Option<Vec<u32>> {
-        let mut by_slot = vec![NO_PATCH; slots];
-        // Those of fewer leaves lie within those of more, and are the last to be written.
-        let mut coarse_first: Vec<usize> = (0..self.patches.len()).collect();
-        coarse_first.sort_by_key(|&patch| std::cmp::Reverse(self.patches[patch].leaf_count));
-        for patch in coarse_first {
-            let row = &self.patches[patch];
-            let leaves = row.first_leaf as usize..(row.first_leaf + row.leaf_count) as usize;
-            let entries = self.leaf_starts[leaves.start] as usize..self.leaf_starts[leaves.end] as usize;
-            for &slot in &self.slots[entries] {
-                if let Some(own) = by_slot.get_mut(slot as usize) {
-                    *own = patch as u32;
-                }
-            }
-        }
+        let mut by_slot = self.finest_of_slots();
+        by_slot.resize(slots, NO_PATCH);
         Some(by_slot)
     }
 }

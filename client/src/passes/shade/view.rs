@@ -89,6 +89,17 @@ impl ShadeView {
         vector(self.ray) + vector(self.ray_per_x) * x + vector(self.ray_per_y) * y
     }
 
+    /// Ray through a point of the picture, in pixels from its upper left corner: where it begins in metres, its unit direction, and the
+    /// tangent of half the angle of a pixel.
+    pub fn ray_of_pixel(&self, at: [f32; 2], size: [u32; 2]) -> (Vec3, Vec3, f32) {
+        let ndc = [at[0] / size[0] as f32 * 2.0 - 1.0, 1.0 - at[1] / size[1] as f32 * 2.0];
+        let world_from_clip = self.projection().inverse();
+        // Depth is 1 at the near plane.
+        let begin = world_from_clip.project_point3(Vec3::new(ndc[0], ndc[1], 1.0));
+        let along = self.ray_through(ndc[0], ndc[1]);
+        (begin, along.normalize_or(Vec3::NEG_Z), 0.5 * self.ray_per_y[3] / along.length().max(1.0))
+    }
+
     /// Radiance of the sky at a point of the picture, in pixels from its upper left corner.
     pub(super) fn sky_at(&self, at: [f64; 2], size: [u32; 2], panorama: Option<&Panorama>) -> Vec3 {
         let x = (at[0] / f64::from(size[0])) as f32 * 2.0 - 1.0;

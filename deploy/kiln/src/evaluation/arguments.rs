@@ -21,6 +21,8 @@ pub enum Where {
     Surfaces,
     /// In free space, where objects move
     Space,
+    /// On surfaces, by walks through voxels instead of the lightmap
+    Walks,
 }
 
 /// Arguments that `kiln evaluate` and `kiln bake --evaluate` share.
@@ -62,8 +64,8 @@ impl EvaluationArguments {
     pub fn pixels(&self) -> u32 {
         match self.place {
             Where::Surfaces => self.pixels.unwrap_or(self.receivers / PIXELS_SHARE),
-            // No picture shows free space.
-            Where::Space => 0,
+            // No picture shows free space, or E_ind by walks.
+            Where::Space | Where::Walks => 0,
         }
     }
 
@@ -88,8 +90,12 @@ impl EvaluationArguments {
             return Ok(());
         }
         if has_pixels {
-            let what = "--pixels asks for pictures, which show no free space";
+            let what = "--pixels asks for pictures, which show neither free space nor light by walks";
             return Err(Failure::bad_input(what).try_this("--in surfaces, or no --pixels"));
+        }
+        // Whether there are voxels the bake's settings say, not its kind.
+        if self.place == Where::Walks {
+            return Ok(());
         }
         // A kind that is none is said elsewhere.
         if kinds.get(kind).is_none_or(|kind| kind.has_space()) {
@@ -122,6 +128,11 @@ pub fn not_relightable(kind: &str) -> Failure {
 pub fn without_space(kind: &str) -> Failure {
     Failure::bad_input(format!("bakes of kind '{kind}' have no light in free space"))
         .try_this("--in surfaces")
+}
+
+/// A bake has no voxels to walk through.
+pub fn without_voxels() -> Failure {
+    Failure::bad_input("the bake has no voxels").try_this("bake it with --set voxels=on, or --in surfaces")
 }
 
 fn parse_rel_error(text: &str) -> std::result::Result<f64, String> {

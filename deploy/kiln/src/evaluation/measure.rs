@@ -11,7 +11,7 @@ use lightkiln_worker::evaluate::{
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
-use super::arguments::{EvaluationArguments, Where, not_relightable, without_space};
+use super::arguments::{EvaluationArguments, Where, not_relightable, without_space, without_voxels};
 use super::shadows::ClientBake;
 use super::table::{Evaluation, LightRow, over_lights};
 use crate::console::say;
@@ -58,6 +58,7 @@ pub fn measure(
     let bake = match wanted.place {
         Where::Surfaces => bake,
         Where::Space => bake.in_space().ok_or_else(|| without_space(&manifest.kind))?,
+        Where::Walks => bake.by_walks().ok_or_else(without_voxels)?,
     };
     // Pixels are read through a lightmap.
     let pixels = if bake.lightmap().is_some() { wanted.pixels() } else { 0 };

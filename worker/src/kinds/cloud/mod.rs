@@ -13,6 +13,7 @@ use lightkiln_proto::manifest::Manifest;
 use serde_json::json;
 
 use super::field::{self, FieldPlan};
+use super::voxels::DIRECTIONS;
 use super::{BakeKind, BakeKinds, TaskRow};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
 use crate::factors;
@@ -38,7 +39,7 @@ impl BakeKind for Cloud {
     }
 
     fn error_classes(&self) -> Vec<&'static str> {
-        [&factors::ERROR_CLASSES[..], &field::CLASSES].concat()
+        [&factors::ERROR_CLASSES[..], &field::CLASSES, &[DIRECTIONS]].concat()
     }
 
     fn has_space(&self) -> bool {

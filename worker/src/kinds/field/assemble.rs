@@ -28,7 +28,7 @@ pub fn field_assembled(
     let Assembled { totals: field, chunks: of_field } = Assembled::of(context, role)?;
     let prt::Assembled { body, clusters, mut chunks, mut report } = relightable;
     report["field"] = json!(field);
-    let body = Body { totals: body.totals, patches: body.patches, field };
+    let body = Body { totals: body.totals, patches: body.patches, field, voxels: body.voxels };
     chunks.extend(of_field);
     assembled(context, KindPart { kind, scene, settings, body: &body, clusters, chunks }, report)
 }

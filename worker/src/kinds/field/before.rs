@@ -9,8 +9,7 @@ use super::fit::Around;
 use super::{GatherParams, Survey};
 use crate::emitters::EmitterSet;
 use crate::factors::ClusterCell;
-use crate::reads::{Common, RECORD_ARTEFACT, Record, Stage, of_before, outputs_of_before};
-use crate::task::{Context, TaskError, TaskOutput};
+use crate::reads::Common;
 
 /// The name of the task of a cell's probes: of all that it surely depends on. The rest is in its record.
 pub fn alike(
@@ -41,35 +40,4 @@ pub fn alike(
         radiance,
     ]);
     common.name(all.to_string().as_bytes())
-}
-
-/// Remains of tasks alike.
-pub enum Before {
-    /// The result of one: all that it read is as it was.
-    Kept(TaskOutput),
-    /// Nothing that could be taken, and why.
-    Changed(String),
-}
-
-/// The result of a task alike, if all that it read is as it was.
-pub fn before(context: &Context, stage: &Stage) -> Result<Before, TaskError> {
-    let mut why = match context.alike {
-        [] => "none like them were before".to_owned(),
-        _ => "those like them before left no record, as they met too much, or it is gone".to_owned(),
-    };
-    for outputs in context.alike {
-        let Some(record) = of_before(context, outputs, RECORD_ARTEFACT, Record::decoded)? else { continue };
-        let changes = record.changes(stage);
-        if changes.any {
-            why = format!("{} has changed", changes.first.as_deref().unwrap_or("something"));
-            continue;
-        }
-        let Some(artefacts) = outputs_of_before(context, outputs, "")? else {
-            "nothing that they met has changed, but what was before is gone".clone_into(&mut why);
-            continue;
-        };
-        let note = "as before: nothing that the rays of its probes met has changed".to_owned();
-        return Ok(Before::Kept(TaskOutput { artefacts, note, ..TaskOutput::default() }));
-    }
-    Ok(Before::Changed(why))
 }

@@ -133,6 +133,10 @@ impl Evaluated for FieldBake {
         Some(in_space(self))
     }
 
+    fn by_walks(self: Box<Self>) -> Option<Box<dyn Evaluated>> {
+        Box::new(self.surfaces).by_walks()
+    }
+
     fn chunk_of(&self, place: &Place) -> Option<usize> {
         self.surfaces.chunk_of(place)
     }

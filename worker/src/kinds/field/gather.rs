@@ -12,7 +12,6 @@ use lightkiln_proto::kinds::field::PROBE_ROWS;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::before::{Before, before};
 use super::fit::{Around, Place, fitted, fitted_emitters, places, shares};
 use super::truncate::{ProbeRows, parts};
 use super::{GatherParams, Survey, depth};
@@ -23,7 +22,7 @@ use crate::kinds::prt::quantisation_error;
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::rays::sampling::{Sequence, seed_of};
-use crate::reads::{Name, RECORD_ARTEFACT, Reads, Record, Stage, union};
+use crate::reads::{Before, Name, RECORD_ARTEFACT, Reads, Record, Stage, before, union};
 use crate::task::{Cancelled, Context, TaskError, TaskOutput, params};
 use crate::transport::{CutBounds, RayHit, RowHits, Sources, patch_rows};
 
@@ -48,7 +47,8 @@ pub struct Account {
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let settings: GatherParams = params(task)?;
     let stage = Stage::of(context)?;
-    let why = match before(context, &stage)? {
+    let why = match before(context, &stage, "as before: nothing that the rays of its probes met has changed")?
+    {
         Before::Kept(output) => return Ok(output),
         Before::Changed(why) => why,
     };

@@ -2,6 +2,7 @@
 
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, Settings};
+use lightkiln_proto::kinds::voxels::VOXELS;
 use lightkiln_proto::manifest::{CLUSTERS, ChunkRef, ClusterRow, OVERVIEW};
 use serde_json::Value;
 
@@ -9,6 +10,7 @@ use super::plan::PATCH_SET;
 use super::{BakeParams, overview};
 use crate::assemble::{KindPart, assembled, chunk_refs};
 use crate::factors::CellIndex;
+use crate::kinds::voxels;
 use crate::patches::PatchTree;
 use crate::task::{Context, TaskError, TaskOutput, params};
 
@@ -25,15 +27,19 @@ pub struct Assembled {
 }
 
 impl Assembled {
-    /// Of a task's inputs: the outputs of the scene tasks, `patch-set`, `cluster/N/…` of every cell, and `overview/…`.
+    /// Of a task's inputs: the outputs of the scene tasks, `patch-set`, `cluster/N/…` of every cell, `overview/…`, and `voxels/…` where there are some.
     pub fn of(context: &Context, settings: &Settings) -> Result<Self, TaskError> {
         let index = CellIndex::of_inputs(context)?;
         let report = index.report(settings.patches.rank_error);
         let patches = PatchTree::of(context)?.patches.len() as u64;
-        let body = Body { totals: index.totals(), patches };
+        let voxels = voxels::totals(context)?;
+        let body = Body { totals: index.totals(), patches, voxels };
         let overview = chunk_refs(context, &format!("{OVERVIEW}/{}", overview::OUTPUT));
         let patches = chunk_refs(context, PATCH_SET);
-        let chunks = vec![(CLUSTERS, index.chunks), (PATCHES, patches), (OVERVIEW, overview)];
+        let mut chunks = vec![(CLUSTERS, index.chunks), (PATCHES, patches), (OVERVIEW, overview)];
+        if body.voxels.is_some() {
+            chunks.push((VOXELS, voxels::chunks(context)));
+        }
         Ok(Self { body, clusters: index.clusters, chunks, report })
     }
 }

@@ -4,6 +4,7 @@ use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{PATCHES, Settings, first_tasks, tasks};
+use lightkiln_proto::kinds::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
 
@@ -11,6 +12,7 @@ use super::PatchTransport;
 use super::plan::PATCH_SET;
 use crate::evaluate::{ChunkBytes, EvaluationError};
 use crate::factors::{FactoredBake, decoded};
+use crate::kinds::voxels::WalkedBake;
 use crate::kinds::{BakeKinds, FirstTasks, made_anew};
 use crate::task::Progress;
 
@@ -46,6 +48,13 @@ pub fn evaluated_of(
         let patches = decoded(&chunks[0], bytes, decode_patches)?;
         let transport = PatchTransport::of(context, settings.into()).map_err(EvaluationError::Prepare)?;
         let columns = |slots: &_| PatchTable::new(&patches, slots);
-        FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)
+        let bake = FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)?;
+        let parts = manifest.chunks(VOXELS).iter().map(|chunk| decoded(chunk, bytes, decode_voxels));
+        let parts: Vec<VoxelPart> = parts.collect::<Result<_, EvaluationError>>()?;
+        if parts.is_empty() {
+            return Ok(bake);
+        }
+        let voxels = VoxelTable::join(parts.iter(), |key| bake.columns().number(key))?;
+        Ok(bake.walkable(Box::new(|bake| Box::new(WalkedBake::new(bake, voxels)))))
     })
 }

@@ -16,10 +16,12 @@ mod truncate;
 use std::sync::Arc;
 
 use lightkiln_proto::kinds::prt::{NAME, PatchSettings, Settings, tasks};
+use lightkiln_proto::kinds::voxels;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use serde::{Deserialize, Serialize};
 
+use super::voxels::DIRECTIONS;
 use super::{BakeKind, BakeKinds, TaskRow};
 use crate::emitters::{EmitterSet, Radiance};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
@@ -53,11 +55,13 @@ impl BakeKind for Prt {
             TaskRow { name: tasks::COLOUR.name, run: colourless::run },
             TaskRow { name: tasks::OVERVIEW.name, run: overview::run },
             TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
+            TaskRow { name: voxels::tasks::REGION.name, run: super::voxels::region },
+            TaskRow { name: voxels::tasks::TOP.name, run: super::voxels::top },
         ]
     }
 
     fn error_classes(&self) -> Vec<&'static str> {
-        factors::ERROR_CLASSES.into()
+        [&factors::ERROR_CLASSES[..], &[DIRECTIONS]].concat()
     }
 
     fn evaluated(

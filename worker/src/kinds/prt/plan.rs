@@ -15,6 +15,7 @@ use super::{BakeParams, TracedSettings, TransportParams};
 use crate::assemble::{self, KindPart};
 use crate::emitters::EmitterSet;
 use crate::factors::{CELLS_ARTEFACT, ClusterCell, cell_names, cells, encoded_cells};
+use crate::kinds::voxels;
 use crate::lightmap::{Lightmap, World};
 use crate::patches::{self, PatchTree};
 use crate::reads::{Common, STAGE_ARTEFACT, alike};
@@ -36,6 +37,8 @@ pub struct Planned {
     rays: Vec<TaskSpec>,
     /// Tasks of their colours.
     colours: Vec<TaskSpec>,
+    /// Tasks of voxels.
+    voxels: Vec<TaskSpec>,
 }
 
 /// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`, `outline`.
@@ -70,7 +73,8 @@ pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Res
     let names: Vec<Digest> =
         cells.par_iter().map(|cell| alike(&world, &common, &cell.bounds_m, &cell.receivers)).collect();
     let artefacts: Vec<_> = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
-    let mut planned = Planned { artefacts, common, rays: Vec::new(), colours: Vec::new() };
+    let mut planned =
+        Planned { artefacts, common, rays: Vec::new(), colours: Vec::new(), voxels: Vec::new() };
     let of_all = [CELLS_ARTEFACT, STAGE_ARTEFACT].map(|name| planned.input(name));
     for (cluster, ((cell, label), name)) in cells.iter().zip(cell_names(&cells)).zip(names).enumerate() {
         let cost = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
@@ -80,6 +84,10 @@ pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Res
         let cost = RAYS_PER_RAY * cost / 1000;
         let transport = tasks::TRANSPORT.task(format!("cluster {label}"), of_cell, inputs, cost).alike(name);
         planned.add(context, transport, cell.receivers.len());
+    }
+    if settings.voxels.is_on() {
+        let stage = planned.input(STAGE_ARTEFACT);
+        planned.voxels = voxels::planned(context, &world, &settings.voxels, stage, &planned.common)?;
     }
     Ok(planned)
 }
@@ -120,7 +128,9 @@ impl Planned {
         let cost = 10 * self.colours.iter().map(|task| task.cost).sum::<u64>() + 1;
         let overview = tasks::OVERVIEW.task(OVERVIEW, Value::Null, results.clone(), cost);
         results.extend(crate::task::results_of(std::slice::from_ref(&overview)));
-        let tasks = self.rays.iter().chain(&self.colours).chain([&overview]).cloned().collect();
+        results.extend(crate::task::results_of(&self.voxels));
+        let tasks = self.rays.iter().chain(&self.colours).chain([&overview]).chain(&self.voxels);
+        let tasks = tasks.cloned().collect();
         (tasks, results)
     }
 }

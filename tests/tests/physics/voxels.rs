@@ -1,0 +1,133 @@
+//! Walks through voxels meet what rays meet: walls stop them, closed rooms keep them, and they bring the light of surfaces.
+
+use std::f32::consts::PI;
+
+use glam::Vec3;
+use lightkiln_proto::kinds::voxels::{
+    Bundle, IRRADIANCE_WALKS, Start, VoxelTable, WalkLight, irradiance, walk,
+};
+use lightkiln_tests::harness::{Bakery, Held, Recipe, bake};
+use lightkiln_tests::scenes::{self, Flat, flat};
+use lightkiln_worker::geometry::Site;
+use lightkiln_worker::rays::sampling::{R2, uniform_sphere};
+use lightkiln_worker::reference::{self, luminance};
+use lightkiln_worker::task::Progress;
+
+use super::setup::{lamp_at, small, with_texels};
+
+/// A bake with voxels.
+fn with_voxels(receivers: u32) -> Recipe {
+    small("prt", receivers).with("voxels", "on")
+}
+
+/// E of 64 walks from a receiver, by lights that the bake is lit by.
+fn walked(held: &Held, lighting: &reference::Lighting, receivers: &[u32]) -> Vec<Vec3> {
+    let lit = held.under(lighting).unwrap();
+    let (table, patches) = held.decoded.voxels(&held.bake).unwrap();
+    let radiance = lightkiln_worker::emitters::radiance_of_emitters(&held.world.geometry.scene);
+    let emitter = |emitter: u16| Vec3::from(radiance[usize::from(emitter)]) * lighting.emitter_scale;
+    let light = WalkLight::new(&table, patches, &lit.light().settled.lambda, emitter);
+    let of = |&receiver: &u32| {
+        let Site { position_m, normal, face_normal } =
+            held.world.lightmap.receivers[receiver as usize].site();
+        let (start, bundle) = (Start::on(position_m, face_normal), Bundle::new(IRRADIANCE_WALKS, receiver));
+        irradiance(&table, &start, normal, &bundle, |seen| light.radiance(seen))
+    };
+    receivers.iter().map(of).collect()
+}
+
+fn lum(light: Vec3) -> f64 {
+    luminance(light.as_dvec3())
+}
+
+/// A lamp in the left of two rooms; walks from the right one bring exactly nothing.
+fn assert_right_room_is_dark(name: &str, scene: Vec<u8>) {
+    let held = Held::new(scene, &with_voxels(4000)).unwrap();
+    let room = |side: f32| held.receivers(|receiver| receiver.position_m.x * side > 0.02);
+    let [left, right] = [room(-1.0), room(1.0)].map(|of| {
+        let found = walked(&held, &lamp_at(Vec3::new(-2.0, 1.5, 0.3)), &of);
+        assert!(found.len() > 300, "{}", found.len());
+        found
+    });
+    let mean = left.iter().map(|light| lum(*light)).sum::<f64>() / left.len() as f64;
+    println!("{name}: {mean:.3} in the lit room");
+    assert!(mean > 0.1, "{name}: the lit room is dark: the test shows nothing");
+    assert!(right.iter().all(|light| *light == Vec3::ZERO), "{name}: light comes through the wall");
+}
+
+#[test]
+fn walks_bring_no_light_through_a_wall_or_a_sheet() {
+    assert_right_room_is_dark("2 cm", scenes::two_rooms(0.02));
+    assert_right_room_is_dark("a sheet", scenes::two_rooms(0.0));
+    for wall_x_m in [0.07, -0.013] {
+        let scene = scenes::two_rooms_with_wall_at(0.02, wall_x_m);
+        let held = Held::new(scene, &with_voxels(4000)).unwrap();
+        let right = held.receivers(|receiver| receiver.position_m.x > wall_x_m + 0.011);
+        let found = walked(&held, &lamp_at(Vec3::new(-2.0, 1.5, 0.3)), &right);
+        assert!(found.len() > 300 && found.iter().all(|light| *light == Vec3::ZERO), "wall at {wall_x_m}");
+    }
+}
+
+/// Random walks from inside a closed scene.
+fn escaped(table: &VoxelTable, inside: impl Fn(u32) -> Vec3, walks: u32) -> usize {
+    let points = R2::new(3);
+    let is_out = |index: &u32| {
+        let [u, v] = points.point(*index);
+        let direction = uniform_sphere(u, v);
+        let tangent = [0.0, 0.05, 0.5, 1.0][*index as usize % 4];
+        walk(table, &Start::free(inside(*index)), direction, tangent).is_none()
+    };
+    (0..walks).filter(is_out).count()
+}
+
+#[test]
+fn no_walk_leaves_a_closed_room() {
+    for (name, scene, half) in [
+        ("furnace", scenes::furnace(0.5, 1.0, 4.0), Vec3::splat(1.9)),
+        ("two rooms", scenes::two_rooms(0.02), Vec3::new(3.9, 1.2, 1.9)),
+    ] {
+        let held = Held::new(scene, &with_voxels(1500)).unwrap();
+        let (table, _) = held.decoded.voxels(&held.bake).unwrap();
+        let [low, high] = held.bake.manifest.bounds_m.map(Vec3::from);
+        let middle = low.lerp(high, 0.5);
+        let points = R2::new(9);
+        let inside = |index: u32| {
+            let [x, y] = points.point(index);
+            middle
+                + half.min(0.45 * (high - low)) * (2.0 * Vec3::new(x, y, (7.0 * x + 3.0 * y).fract()) - 1.0)
+        };
+        let found = escaped(&table, inside, 40_000);
+        assert_eq!(found, 0, "{name}: walks reach the sky");
+    }
+}
+
+#[test]
+fn walks_in_a_furnace_bring_emission_over_one_minus_albedo() {
+    for albedo in [0.2, 0.8] {
+        let held = Held::new(scenes::furnace(albedo, 1.0, 4.0), &with_voxels(1500)).unwrap();
+        let all = held.receivers(|_| true);
+        let found = walked(&held, &reference::Lighting { emitter_scale: 1.0, ..Default::default() }, &all);
+        let wanted = f64::from(PI / (1.0 - albedo));
+        let mean = found.iter().map(|light| lum(*light)).sum::<f64>() / found.len() as f64 / wanted;
+        println!("albedo {albedo}: {mean:.4} of what is wanted");
+        assert!((mean - 1.0).abs() < 0.01, "albedo {albedo}: {mean}");
+    }
+}
+
+#[test]
+fn chair_that_is_moved_leaves_voxels_elsewhere_alone_and_bytes_are_those_of_a_whole_bake() {
+    let recipe = with_texels("prt", 0.125, 16).with("voxels", "on").with("voxel_texels", 1);
+    let progress = Progress::new();
+    let mut bakery = Bakery::new(&recipe, &progress);
+    let mut of = Flat::default();
+    bakery.bake(flat(&of)).unwrap();
+    of.things[0].at_m += Vec3::new(0.3, 0.0, -0.1);
+    let moved = bakery.bake(flat(&of)).unwrap();
+    let regions =
+        moved.notes.iter().filter(|(label, _)| label.starts_with("voxels ") && label != "voxels top");
+    let (kept, again): (Vec<_>, Vec<_>) = regions.partition(|(_, note)| note.starts_with("as before"));
+    println!("{} regions of {} ran again", again.len(), kept.len() + again.len());
+    assert!(!again.is_empty() && 2 * again.len() < kept.len(), "{again:#?}");
+    let whole = bake(flat(&of), &recipe).unwrap();
+    assert!(whole.manifest_bytes == moved.manifest_bytes, "other bytes than those of a whole bake");
+}

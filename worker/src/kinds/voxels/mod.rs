@@ -1,0 +1,16 @@
+//! Voxels of a scene: elements by region and, of coarser levels, of all of it (METHOD.md §2.16).
+//!
+//! `voxels.region` for each cube with surfaces, and `voxels.top`, beside a kind's other tasks; each leaves a record of what it read, and a
+//! later task takes its chunk over while that is as it was.
+
+mod elements;
+mod evaluated;
+mod overlap;
+mod plan;
+mod sides;
+mod task;
+mod touches;
+
+pub use evaluated::{DIRECTIONS, WalkedBake};
+pub use plan::planned;
+pub use task::{chunks, region, top, totals};

@@ -1,0 +1,184 @@
+//! Tasks `voxels.region` and `voxels.top`: the chunk of a cube's finest levels, and that of the scene's coarser ones.
+
+use glam::Vec3;
+use lightkiln_proto::jobs::TaskSpec;
+use lightkiln_proto::kinds::voxels::{VoxelPart, VoxelTotals, encode_voxels};
+use lightkiln_proto::manifest::ChunkRef;
+use rayon::prelude::*;
+
+use super::elements::Elements;
+use super::plan::VoxelParams;
+use super::sides::Surfaces;
+use super::touches::{Place, Scope, Touch, Triangle};
+use crate::emitters::emissive_triangles;
+use crate::lightmap::World;
+use crate::patches::PatchTree;
+use crate::reads::{Before, Name, RECORD_ARTEFACT, Record, Stage, before, branches};
+use crate::task::{Cancelled, Context, Progress, TaskError, TaskOutput, params};
+
+/// Name of the chunk among a task's outputs.
+const CHUNK: &str = "elements";
+/// Name of its counts.
+const TOTALS: &str = "totals";
+/// Triangles whose touches are held at a time. More → more threads are kept busy, more memory.
+const TRIANGLES_AT_ONCE: usize = 1 << 12;
+
+/// Runs `voxels.region`: inputs are those of `prt.transport` without cells; outputs `elements`, `totals`, `record`.
+pub fn region(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    run(context, task)
+}
+
+/// Runs `voxels.top`: as [`region`].
+pub fn top(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    run(context, task)
+}
+
+fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let params: VoxelParams = params(task)?;
+    let stage = Stage::of(context)?;
+    let why = match before(context, &stage, "as before: no surface in it has changed")? {
+        Before::Kept(kept) => return Ok(kept),
+        Before::Changed(why) => why,
+    };
+    let (world, tree) = (World::of(context)?, PatchTree::of(context)?);
+    let surfaces = Surfaces::new(&world, &tree, &emissive_triangles(&world.geometry));
+    let found = Voxelised::of(&surfaces, (&world, &tree, &stage), &params, context.progress)?;
+    let chunk = encode_voxels(&found.part)
+        .map_err(|error| TaskError::bad_input_from("the voxels cannot be stored", error))?;
+    let mut totals = VoxelTotals { regions: u64::from(params.region.is_some()), ..VoxelTotals::default() };
+    totals.add(&found.part);
+    let mut output = TaskOutput { note: why, ..TaskOutput::default() };
+    output.artefacts.push((CHUNK.to_owned(), chunk));
+    output.artefacts.push((TOTALS.to_owned(), serde_json::json!(totals).to_string().into_bytes()));
+    if let Some(record) = Record::of(&stage, &tree, &found.reads, &[], &[]) {
+        output.artefacts.push((RECORD_ARTEFACT.to_owned(), record.encoded()?));
+    }
+    output.counters.insert("elements".into(), totals.elements.iter().sum::<u64>() as f64);
+    Ok(output)
+}
+
+/// Elements, and what was read for them.
+pub struct Voxelised {
+    pub part: VoxelPart,
+    /// Ascending.
+    pub reads: Vec<Name>,
+}
+
+impl Voxelised {
+    /// Of a task over a world.
+    pub fn of(
+        surfaces: &Surfaces,
+        (world, tree, stage): (&World, &PatchTree, &Stage),
+        params: &VoxelParams,
+        progress: &Progress,
+    ) -> Result<Self, Cancelled> {
+        let voxel_m = params.voxel_m(world);
+        let scopes = params.scopes(voxel_m, world.geometry.bounds_m());
+        let (low_m, high_m) = bounds_m(&scopes);
+        let is_near = |[low, high]: [Vec3; 2]| low.cmple(high_m).all() && high.cmpge(low_m).all();
+        let triangles = surfaces.triangles(is_near);
+        let (mut elements, mut leaves) = (Elements::new(voxel_m), Vec::new());
+        let mut reads: Vec<Name> = Vec::new();
+        progress.begin(0.0, 0.95, triangles.len() as u64);
+        for some in triangles.chunks(TRIANGLES_AT_ONCE) {
+            for (touches, of_leaves, names) in touches(surfaces, stage, &scopes, some, progress)? {
+                touches.iter().for_each(|(place, touch)| elements.add(*place, touch));
+                leaves.extend(of_leaves);
+                reads.extend(names);
+            }
+            progress.advance(some.len() as u64);
+            leaves.sort_unstable();
+            leaves.dedup();
+            reads.sort_unstable();
+            reads.dedup();
+        }
+        // All triangles in its cubes were looked for.
+        let noting = surfaces.noting(stage);
+        noting.reads.trail.mark_box(low_m, high_m);
+        reads.extend(noting.reads.into_names());
+        reads.extend(branches(tree, &leaves));
+        reads.sort_unstable();
+        reads.dedup();
+        let part = VoxelPart {
+            voxel_m: voxel_m as f32,
+            glows: surfaces.glows().to_vec(),
+            bricks: elements.into_bricks(),
+        };
+        Ok(Self { part: without_idle_glows(part), reads })
+    }
+}
+
+/// Touches of some triangles, leaves of the patches that they name, and names of what was read.
+type Found = (Vec<(Place, Touch)>, Vec<u32>, Vec<Name>);
+
+/// Triangles that note what they read together: noting it for each by itself costs more than all else.
+const TRIANGLES_NOTED: usize = 64;
+
+fn touches(
+    surfaces: &Surfaces,
+    stage: &Stage,
+    scopes: &[Scope],
+    triangles: &[Triangle],
+    progress: &Progress,
+) -> Result<Vec<Found>, Cancelled> {
+    let of_some = |some: &[Triangle]| {
+        progress.check()?;
+        let noting = surfaces.noting(stage);
+        let mut found = Vec::new();
+        progress.casting(|| {
+            for triangle in some {
+                scopes.iter().for_each(|scope| found.extend(scope.touches(triangle, &noting)));
+            }
+        });
+        Ok((found, noting.leaves.into_inner(), noting.reads.into_names()))
+    };
+    triangles.par_chunks(TRIANGLES_NOTED).map(of_some).collect()
+}
+
+/// Bounds of some cubes in metres.
+fn bounds_m(scopes: &[Scope]) -> (Vec3, Vec3) {
+    scopes.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), scope| {
+        let [from, to] = scope.bounds_m();
+        (low.min(from), high.max(to))
+    })
+}
+
+/// The part with those glows alone that its elements name.
+fn without_idle_glows(mut part: VoxelPart) -> VoxelPart {
+    let mut used: Vec<u16> =
+        part.bricks.iter().flat_map(|brick| &brick.elements).map(|element| element.glow).collect();
+    used.sort_unstable();
+    used.dedup();
+    used.retain(|glow| *glow > 0);
+    for element in part.bricks.iter_mut().flat_map(|brick| &mut brick.elements) {
+        if let Ok(place) = used.binary_search(&element.glow) {
+            element.glow = place as u16 + 1;
+        }
+    }
+    part.glows = used.iter().map(|glow| part.glows[usize::from(*glow) - 1]).collect();
+    part
+}
+
+/// Sums over the voxels of a bake whose tasks are among a task's inputs; `None` without any.
+pub fn totals(context: &Context) -> Result<Option<VoxelTotals>, TaskError> {
+    let mut all: Option<VoxelTotals> = None;
+    for artefact in context.inputs.iter().filter(|artefact| is_of_voxels(&artefact.name, TOTALS)) {
+        let bytes = context.source.get(artefact.digest)?;
+        let part: VoxelTotals = serde_json::from_slice(&bytes)
+            .map_err(|error| TaskError::bad_input_from("the counts of voxels cannot be read", error))?;
+        all.get_or_insert_default().join(&part);
+    }
+    Ok(all)
+}
+
+/// Chunks of voxels among a task's inputs, that of the coarser levels first.
+pub fn chunks(context: &Context) -> Vec<ChunkRef> {
+    let named = context.inputs.iter().filter(|artefact| is_of_voxels(&artefact.name, CHUNK));
+    named.map(|artefact| ChunkRef { digest: artefact.digest, bytes: artefact.bytes }).collect()
+}
+
+fn is_of_voxels(name: &str, output: &str) -> bool {
+    name.strip_prefix("voxels/")
+        .and_then(|rest| rest.strip_suffix(output))
+        .is_some_and(|rest| rest.ends_with('/'))
+}
