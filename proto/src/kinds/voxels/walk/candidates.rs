@@ -54,7 +54,8 @@ impl Line {
     }
 }
 
-/// Of candidates in a sub-voxel, the one whose plane is nearest to the walk's way through it, then the one met first, then the first element.
+/// Of candidates in a sub-voxel, sides that are seen from before, then the one whose plane is nearest to the walk's way through it, then the one
+/// met first, then the first element. At the edge of a solid a sub-voxel holds backs of faces beyond, which its front hides.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Nearest {
     /// The candidate.
@@ -75,7 +76,8 @@ impl Nearest {
             return;
         };
         self.is_mixed |= best.patch != hit.patch;
-        if off_m < self.off_m || off_m == self.off_m && hit.t_m < best.t_m {
+        let is_nearer = off_m < self.off_m || off_m == self.off_m && hit.t_m < best.t_m;
+        if (best.is_back && !hit.is_back) || best.is_back == hit.is_back && is_nearer {
             (self.hit, self.off_m) = (Some(hit), off_m);
         }
     }
