@@ -108,6 +108,8 @@ pub fn plain_material(name: &str, [red, green, blue]: [f32; 3]) -> Material {
         emitter: None,
         alpha_cutoff: None,
         glass: None,
+        normal_map: None,
+        specular: None,
         double_sided: false,
     }
 }

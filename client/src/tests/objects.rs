@@ -50,6 +50,8 @@ fn material(glass: Option<Glass>) -> Material {
         emitter: None,
         alpha_cutoff: None,
         glass,
+        normal_map: None,
+        specular: None,
         double_sided: false,
     }
 }

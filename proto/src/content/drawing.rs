@@ -22,7 +22,7 @@ pub struct Draw {
     pub position_m: Vec<[f32; 3]>,
     /// Unit normals towards the front.
     pub normal: Vec<[f32; 3]>,
-    /// UV of the base-colour texture, transform applied; empty when the material has none.
+    /// UV of the base-colour texture, transform applied, or of another where it has none; empty when the material has no texture.
     pub uv: Vec<[f32; 2]>,
     /// Linear vertex colours; empty when there are none.
     pub colour: Vec<[f32; 4]>,

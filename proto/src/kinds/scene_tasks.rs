@@ -54,9 +54,9 @@ impl SceneTask {
         match self {
             Self::Place => 30,
             Self::Patches => 8,
-            Self::Draw => 5,
+            Self::Draw => 6,
             Self::Frame => 6,
-            Self::Import => 5,
+            Self::Import => 6,
             Self::Unwrap => 3,
         }
     }

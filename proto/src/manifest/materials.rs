@@ -26,8 +26,36 @@ pub struct Material {
     /// Light passes straight through some of it; left out where none does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub glass: Option<Glass>,
+    /// Normal map; left out where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub normal_map: Option<NormalMap>,
+    /// Specular reflection; left out where it reflects as diffuse surfaces do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub specular: Option<Specular>,
     /// Drawn from both sides.
     pub double_sided: bool,
+}
+
+/// A normal map in tangent space, for pictures; transport knows none.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NormalMap {
+    /// Texture of linear numbers: rgb are x, y, z from −1 to 1, y towards the texture's upper edge.
+    pub texture: TextureUse,
+    /// Factor on x and y.
+    pub scale: f32,
+}
+
+/// Microfacets of a surface, for pictures; transport is diffuse.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Specular {
+    /// Share of the surface that is metal, 0 to 1.
+    pub metallic: f32,
+    /// Perceptual roughness, 0 to 1; its square is the width α of the microfacets' slopes.
+    pub roughness: f32,
+    /// Texture of linear numbers: green is multiplied into `roughness`, blue into `metallic`.
+    pub texture: Option<TextureUse>,
 }
 
 /// A thin surface that lets a share of the light straight through; [`crate::glass::stopped`] says how much.
@@ -91,9 +119,37 @@ impl Material {
         all_finite("a material's alpha cutoff", self.alpha_cutoff.as_slice())?;
         let glass = self.glass.as_ref();
         all_finite("a material's transmission", glass.map(|glass| glass.transmission).as_slice())?;
-        let of_glass = glass.and_then(|glass| glass.transmission_texture.as_ref());
-        let uses = self.base_colour_texture.iter().chain(&self.emissive_texture).chain(of_glass);
-        uses.flat_map(|texture| &texture.transform)
+        all_finite("a normal map's scale", self.normal_map.as_ref().map(|map| map.scale).as_slice())?;
+        if let Some(Specular { metallic, roughness, .. }) = &self.specular {
+            all_finite("a material's specular part", &[*metallic, *roughness])?;
+        }
+        self.textures()
+            .flat_map(|texture| &texture.transform)
             .try_for_each(|transform| all_finite("a texture's transform", transform.as_flattened()))
+    }
+
+    /// Textures that it reads as colours, with alpha.
+    pub fn colour_textures(&self) -> impl Iterator<Item = &TextureUse> {
+        let of_glass = self.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref());
+        self.base_colour_texture.iter().chain(&self.emissive_texture).chain(of_glass)
+    }
+
+    /// Textures that it reads as linear numbers.
+    pub fn number_textures(&self) -> impl Iterator<Item = &TextureUse> {
+        let of_specular = self.specular.as_ref().and_then(|specular| specular.texture.as_ref());
+        self.normal_map.iter().map(|map| &map.texture).chain(of_specular)
+    }
+
+    /// All of its textures.
+    pub fn textures(&self) -> impl Iterator<Item = &TextureUse> {
+        self.colour_textures().chain(self.number_textures())
+    }
+
+    /// All of its textures, to be changed.
+    pub fn textures_mut(&mut self) -> impl Iterator<Item = &mut TextureUse> {
+        let of_glass = self.glass.as_mut().and_then(|glass| glass.transmission_texture.as_mut());
+        let of_specular = self.specular.as_mut().and_then(|specular| specular.texture.as_mut());
+        let colours = self.base_colour_texture.iter_mut().chain(&mut self.emissive_texture).chain(of_glass);
+        colours.chain(self.normal_map.iter_mut().map(|map| &mut map.texture)).chain(of_specular)
     }
 }

@@ -26,7 +26,7 @@ pub use clusters::{
 pub use directory::{CLUSTERS_MAX, DIRECTORY, DirectoryPage, PAGE_BYTES_MAX, Stored};
 pub use framing::{Chosen, Framing};
 pub use lightmap::{Block, Lightmap};
-pub use materials::{Emitter, Glass, Material, TextureUse, Wrap};
+pub use materials::{Emitter, Glass, Material, NormalMap, Specular, TextureUse, Wrap};
 
 /// Value of [`Manifest::format`].
 pub const FORMAT: &str = "lightkiln-manifest";

@@ -1,6 +1,6 @@
 //! Materials and emitters as the manifest states them.
 
-use lightkiln_proto::manifest::{Emitter, Glass, Material, TextureUse, Wrap};
+use lightkiln_proto::manifest::{Emitter, Glass, Material, NormalMap, Specular, TextureUse, Wrap};
 
 use crate::emitters::emitter_of_material;
 use crate::geometry::{TriangleRef, corners_of};
@@ -22,6 +22,15 @@ pub fn materials(scene: &Scene) -> (Vec<Material>, Vec<Emitter>) {
             blends: glass.blends,
             transmission: glass.transmission,
             transmission_texture: beside_base(material, glass.transmission_texture.as_ref()),
+        }),
+        normal_map: material.normal_map.as_ref().and_then(|map| {
+            let texture = beside_base(material, Some(&map.texture))?;
+            Some(NormalMap { texture, scale: map.scale })
+        }),
+        specular: material.specular.as_ref().map(|specular| Specular {
+            metallic: specular.metallic,
+            roughness: specular.roughness,
+            texture: beside_base(material, specular.texture.as_ref()),
         }),
         double_sided: material.double_sided,
     });

@@ -9,7 +9,7 @@ use lightkiln_proto::jobs::TaskSpec;
 
 use crate::lightmap::Charts;
 use crate::lightmap::place::{blocks, sides};
-use crate::scene::model::{MeshInstance, Scene, TextureUse};
+use crate::scene::model::{MeshInstance, Scene, SceneImage, TextureUse};
 use crate::scene::surface::normal_of;
 use crate::task::{Context, Progress, TaskError, TaskOutput};
 use crate::unwrap::UnwrappedTriangle;
@@ -19,7 +19,7 @@ const CHUNK_TRIANGLES: usize = 200_000;
 /// Draws after which a geometry chunk is closed.
 const CHUNK_DRAWS: usize = 1 << 15;
 
-/// Runs the task: inputs `import/scene` and, for a lightmap, `unwrap/unwrap`; outputs `geometry/N`, `texture/N`.
+/// Runs the task: inputs `import/scene`, `import/details` and, for a lightmap, `unwrap/unwrap`; outputs `geometry/N`, `texture/N`.
 pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let (scene, _): (Scene, _) = context.decoded(crate::scene::ARTEFACT_MAGIC, crate::scene::ARTEFACT)?;
     let mut artefacts = match Charts::if_any(context)? {
@@ -29,7 +29,9 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
             geometry_chunks(draws, context.progress)?
         }
     };
-    for (index, image) in scene.images.iter().enumerate() {
+    let (details, _): (Vec<SceneImage>, _) =
+        context.decoded(crate::scene::DETAILS_MAGIC, crate::scene::DETAILS)?;
+    for (index, image) in scene.images.iter().chain(&details).enumerate() {
         let bytes = encode_texture(&image.media_type, &image.bytes).map_err(|error| {
             TaskError::bad_input_from(format!("image '{}' cannot be stored", image.name), error)
         })?;

@@ -10,7 +10,7 @@ use image::{ImageFormat, RgbaImage};
 use super::context::Context;
 use super::error::{ImportError, Result};
 use super::images::decode;
-use super::materials::{MaterialTable, Reading};
+use super::materials::{MaterialTable, Named, Reading};
 use super::model::{Glass, SceneImage};
 
 /// Difference of channels from which on a tint is told apart from grey.
@@ -28,7 +28,7 @@ pub(super) fn glass_of(
     let factor = extension.map_or(0.0, |extension| extension.transmission_factor.0);
     let transmission = factor.clamp(0.0, 1.0) * dielectric_share(stated);
     let texture = extension.and_then(|extension| extension.transmission_texture.as_ref());
-    let read = if transmission > 0.0 { (texture, Reading::Red) } else { (None, Reading::Red) };
+    let read = (texture.filter(|_| transmission > 0.0).map(Named::of), Reading::Red);
     let transmission_texture = table.read_texture(context, read, place)?;
     let [r, g, b, _] = stated.pbr_metallic_roughness.base_color_factor.0;
     if transmission > 0.0 && r.max(g).max(b) - r.min(g).min(b) > GREY_MAX {

@@ -10,12 +10,12 @@ use gltf::json::validation::Checked;
 use gltf::json::{Index, Root};
 
 use super::context::Context;
-use super::document;
 use super::error::{ImportError, Result, place_of};
 use super::glass::{glass_of, in_alpha};
 use super::images::read_image;
 use super::model::{Material, SceneImage, TextureUse, Wrap};
 use super::primitives::LocalMesh;
+use super::{details, document};
 
 /// Cutoff of masks whose own is no number: glTF's default.
 const CUTOFF: f32 = 0.5;
@@ -36,6 +36,24 @@ pub(super) enum Reading {
     Colour,
     /// The red channel, as a linear number: moved to alpha, as all readers take colours for sRGB.
     Red,
+    /// Linear numbers, for pictures alone.
+    Numbers,
+}
+
+/// A texture as a material names it.
+#[derive(Clone, Copy)]
+pub(super) struct Named<'a> {
+    pub(super) index: Index<gltf::json::Texture>,
+    pub(super) uv_set: u32,
+    pub(super) transform: Option<&'a TextureTransform>,
+}
+
+impl<'a> Named<'a> {
+    pub(super) fn of(info: &'a Info) -> Self {
+        let extensions = info.extensions.as_ref();
+        let transform = extensions.and_then(|extensions| extensions.texture_transform.as_ref());
+        Self { index: info.index, uv_set: info.tex_coord, transform }
+    }
 }
 
 /// All materials of a scene and the images that they use.
@@ -43,6 +61,8 @@ pub(super) enum Reading {
 pub(super) struct MaterialTable {
     pub(super) materials: Vec<Material>,
     pub(super) images: Vec<SceneImage>,
+    /// Those of linear numbers, whose indices follow those of `images`.
+    pub(super) details: Vec<SceneImage>,
     /// New index of each image of the file, by its reading; `None` for those in formats that are not read.
     image_slots: BTreeMap<(usize, Reading), Option<u32>>,
     default_index: Option<u32>,
@@ -56,20 +76,24 @@ impl MaterialTable {
             let material = table.read_material(context, index)?;
             table.materials.push(material);
         }
+        // Behind all colours: light needs these first where there is room for few pixels.
+        for index in 0..table.materials.len() {
+            details::read(&mut table, context, index)?;
+        }
         Ok(table)
     }
 
     /// The materials for a scene; never empty.
-    pub(super) fn finish(mut self) -> (Vec<Material>, Vec<SceneImage>) {
+    pub(super) fn finish(mut self) -> (Vec<Material>, Vec<SceneImage>, Vec<SceneImage>) {
         if self.materials.is_empty() {
             self.default_index();
         }
-        (self.materials, self.images)
+        (self.materials, self.images, self.details)
     }
 
     /// The table for meshes alone, which name no image.
     pub(super) fn without_images(self) -> Self {
-        Self { images: Vec::new(), ..self }
+        Self { images: Vec::new(), details: Vec::new(), ..self }
     }
 
     /// Index of the material that a primitive names, or of glTF's default one, appended on first need.
@@ -101,7 +125,10 @@ impl MaterialTable {
         place: &dyn Fn() -> String,
     ) {
         let material = &self.materials[material_index as usize];
-        for texture in [&material.base_colour_texture, &material.emissive_texture].into_iter().flatten() {
+        let of_normals = material.normal_map.iter().map(|map| &map.texture);
+        let of_specular = material.specular.iter().flat_map(|specular| &specular.texture);
+        let of_colours = material.base_colour_texture.iter().chain(&material.emissive_texture);
+        for texture in of_colours.chain(of_normals).chain(of_specular) {
             let uvs = if texture.uv_set == 0 { &mesh.uv0 } else { &mesh.uv1 };
             if uvs.is_empty() {
                 context.warnings.add("texture-without-uvs", || {
@@ -133,15 +160,21 @@ impl MaterialTable {
         Ok(Material {
             name: stated.name.clone().unwrap_or_else(|| format!("material {index}")),
             base_colour,
-            base_colour_texture: self.read_texture(context, (texture, Reading::Colour), &place)?,
+            base_colour_texture: self.read_texture(
+                context,
+                (texture.map(Named::of), Reading::Colour),
+                &place,
+            )?,
             emissive: clamped(context, emissive, EMISSION_MAX, &place),
             emissive_texture: self.read_texture(
                 context,
-                (stated.emissive_texture.as_ref(), Reading::Colour),
+                (stated.emissive_texture.as_ref().map(Named::of), Reading::Colour),
                 &place,
             )?,
             alpha_cutoff: alpha_cutoff(context, stated, &place),
             glass: glass_of(self, context, stated, &place)?,
+            normal_map: None,
+            specular: None,
             double_sided: stated.double_sided,
         })
     }
@@ -150,14 +183,13 @@ impl MaterialTable {
     pub(super) fn read_texture(
         &mut self,
         context: &mut Context<'_>,
-        (info, reading): (Option<&Info>, Reading),
+        (named, reading): (Option<Named<'_>>, Reading),
         place: &dyn Fn() -> String,
     ) -> Result<Option<TextureUse>> {
-        let Some(info) = info else { return Ok(None) };
+        let Some(Named { index, uv_set, transform }) = named else { return Ok(None) };
         let root = context.root;
-        let texture = document::get(root, info.index, "texture", place)?;
-        let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.as_ref());
-        let uv_set = transform.and_then(|transform| transform.tex_coord).unwrap_or(info.tex_coord);
+        let texture = document::get(root, index, "texture", place)?;
+        let uv_set = transform.and_then(|transform| transform.tex_coord).unwrap_or(uv_set);
         if uv_set > 1 {
             context.warnings.add("uv-set-unsupported", || {
                 format!(
@@ -197,17 +229,23 @@ impl MaterialTable {
         if let Some(&slot) = self.image_slots.get(&(index, reading)) {
             return Ok(slot);
         }
-        let read = read_image(context, index)?;
-        let image = match reading {
-            Reading::Colour => read,
-            Reading::Red => read.map(in_alpha).transpose()?,
+        let slot = match reading {
+            Reading::Colour => read_image(context, index)?.map(|image| self.add(image)),
+            Reading::Red => {
+                read_image(context, index)?.map(in_alpha).transpose()?.map(|image| self.add(image))
+            }
+            Reading::Numbers => details::image(context, index)?.map(|image| {
+                self.details.push(image);
+                (self.images.len() + self.details.len()) as u32 - 1
+            }),
         };
-        let slot = image.map(|image| {
-            self.images.push(image);
-            self.images.len() as u32 - 1
-        });
         self.image_slots.insert((index, reading), slot);
         Ok(slot)
+    }
+
+    fn add(&mut self, image: SceneImage) -> u32 {
+        self.images.push(image);
+        self.images.len() as u32 - 1
     }
 }
 
@@ -223,7 +261,7 @@ fn base_colour_of(stated: &gltf::json::Material) -> ([f32; 4], Option<&Info>) {
     }
 }
 
-fn specular_glossiness(stated: &gltf::json::Material) -> Option<&PbrSpecularGlossiness> {
+pub(super) fn specular_glossiness(stated: &gltf::json::Material) -> Option<&PbrSpecularGlossiness> {
     stated.extensions.as_ref()?.pbr_specular_glossiness.as_ref()
 }
 
@@ -249,7 +287,7 @@ fn warn_of_lost_specular(
 }
 
 /// Factors forced into `0..=max`, with a warning if that changes them; NaN becomes 0.
-fn clamped<const N: usize>(
+pub(super) fn clamped<const N: usize>(
     context: &mut Context<'_>,
     stated: [f32; N],
     max: f32,

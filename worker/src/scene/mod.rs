@@ -10,6 +10,7 @@ mod bundle;
 mod census;
 mod context;
 pub mod core;
+mod details;
 mod document;
 mod draco;
 mod error;
@@ -61,6 +62,10 @@ pub const ARTEFACT_MAGIC: &[u8; 4] = b"LKsc";
 pub const ARTEFACT: &str = "import/scene";
 /// Code of the warning that says why there is nothing to bake.
 const NO_TRIANGLES: &str = "no-triangles";
+/// Magic of the artefact of images for pictures alone.
+pub const DETAILS_MAGIC: &[u8; 4] = b"LKsd";
+/// Name under which `scene.draw` sees it.
+pub const DETAILS: &str = "import/details";
 /// Name under which tasks see the import's warnings.
 pub const WARNINGS: &str = "import/warnings";
 
@@ -73,13 +78,14 @@ pub fn import(source: &Bundle, limits: &Limits) -> Result<Imported, ImportError>
         let mut materials = MaterialTable::read(context)?;
         let mut scene = Scene::default();
         let degenerate_count = nodes::flatten(context, &mut materials, &mut scene)?;
-        (scene.materials, scene.images) = materials.finish();
+        let details;
+        (scene.materials, scene.images, details) = materials.finish();
         if scene.instances.is_empty() {
             let why = nothing_to_bake(context.root, degenerate_count);
             context.warnings.add(NO_TRIANGLES, || why);
         }
         let counts = counts(&scene, degenerate_count);
-        Ok(Imported { scene, warnings: std::mem::take(&mut context.warnings).finish(), counts })
+        Ok(Imported { scene, details, warnings: std::mem::take(&mut context.warnings).finish(), counts })
     })
 }
 

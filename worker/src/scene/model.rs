@@ -88,7 +88,7 @@ impl MeshInstance {
     }
 }
 
-/// A material reduced to what diffuse transport needs (METHOD.md §1 "Materials and sides").
+/// A material: all that diffuse transport needs (METHOD.md §1 "Materials and sides"), and what pictures show besides (§2.15).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// The file's name for it, or `material N`.
@@ -105,6 +105,10 @@ pub struct Material {
     pub alpha_cutoff: Option<f32>,
     /// Light passes straight through some of it.
     pub glass: Option<Glass>,
+    /// Normal map, for pictures alone.
+    pub normal_map: Option<NormalMap>,
+    /// Specular reflection, for pictures alone.
+    pub specular: Option<Specular>,
     /// Both sides are lit and have receivers.
     pub double_sided: bool,
 }
@@ -120,6 +124,8 @@ impl Material {
             emissive_texture: None,
             alpha_cutoff: None,
             glass: None,
+            normal_map: None,
+            specular: None,
             double_sided: false,
         }
     }
@@ -127,8 +133,31 @@ impl Material {
     /// The texture whose UV set meshes are drawn with.
     pub fn first_texture(&self) -> Option<&TextureUse> {
         let of_glass = self.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref());
-        self.base_colour_texture.as_ref().or(self.emissive_texture.as_ref()).or(of_glass)
+        let of_normals = self.normal_map.as_ref().map(|map| &map.texture);
+        let of_specular = self.specular.as_ref().and_then(|specular| specular.texture.as_ref());
+        let colours = self.base_colour_texture.as_ref().or(self.emissive_texture.as_ref()).or(of_glass);
+        colours.or(of_normals).or(of_specular)
     }
+}
+
+/// A normal map in tangent space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NormalMap {
+    /// Texture of linear numbers.
+    pub texture: TextureUse,
+    /// Factor on the normals' x and y.
+    pub scale: f32,
+}
+
+/// Microfacets of a surface.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Specular {
+    /// Share that is metal, in 0..=1.
+    pub metallic: f32,
+    /// Perceptual roughness, in 0..=1.
+    pub roughness: f32,
+    /// Texture of linear numbers: green is multiplied into `roughness`, blue into `metallic`.
+    pub texture: Option<TextureUse>,
 }
 
 /// A thin surface that lets a share of the light straight through (METHOD.md §1 "Glass").
@@ -145,7 +174,7 @@ pub struct Glass {
 /// A material's reading of an image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TextureUse {
-    /// Index into [`Scene::images`].
+    /// Index into [`Scene::images`]; of linear numbers into [`Imported::details`], counted behind them.
     pub image_index: u32,
     /// UV set: 0 or 1 (others are a warning and dropped).
     pub uv_set: u8,
@@ -193,6 +222,8 @@ pub struct Warning {
 pub struct Imported {
     /// The scene.
     pub scene: Scene,
+    /// Images of normal maps and specular parts, which pictures alone read.
+    pub details: Vec<SceneImage>,
     /// Named warnings in file order, each reported once with a count.
     pub warnings: Vec<Warning>,
     /// Counts for reports (`triangles`, `vertices`, `degenerate_triangles`, …).

@@ -28,7 +28,8 @@ impl MovingFile {
             let lengths_s = lengths_s(context);
             Ok((scene, materials, lengths_s, std::mem::take(&mut context.warnings).finish()))
         })?;
-        let (all, images) = materials.clone().finish();
+        let (all, images, details) = materials.clone().finish();
+        let images = [images, details].concat();
         let kept = materials.without_images();
         let scene = Scene { materials: all, images, ..read };
         Ok((Self { bundle, limits, materials: kept, lengths_s }, scene, warnings))

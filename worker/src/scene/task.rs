@@ -1,13 +1,13 @@
-//! Task `scene.import`: scene bundle → imported scene and its warnings.
+//! Task `scene.import`: scene bundle → imported scene, images that pictures alone read, and warnings.
 
 use lightkiln_proto::jobs::TaskSpec;
 
 use super::oddities::oddities;
 use super::shells::cut_about_core;
-use super::{ARTEFACT_MAGIC, Bundle, Limits, NO_TRIANGLES, import};
+use super::{ARTEFACT_MAGIC, Bundle, DETAILS_MAGIC, Limits, NO_TRIANGLES, import};
 use crate::task::{Context, TaskError, TaskOutput, artefact};
 
-/// Runs the task: input `bundle`; outputs `scene` and `warnings` (JSON).
+/// Runs the task: input `bundle`; outputs `scene`, `details` and `warnings` (JSON).
 pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let refused = |error| TaskError::bad_input_from("the scene cannot be imported", error);
     let limits = Limits::default();
@@ -23,8 +23,13 @@ pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
     warnings.extend(oddities(&imported.scene));
     let warnings = serde_json::json!({ "warnings": warnings, "counts": imported.counts });
     let scene = artefact::encode(ARTEFACT_MAGIC, &imported.scene)?;
+    let details = artefact::encode(DETAILS_MAGIC, &imported.details)?;
     Ok(TaskOutput {
-        artefacts: vec![("scene".into(), scene), ("warnings".into(), warnings.to_string().into_bytes())],
+        artefacts: vec![
+            ("scene".into(), scene),
+            ("details".into(), details),
+            ("warnings".into(), warnings.to_string().into_bytes()),
+        ],
         ..TaskOutput::default()
     })
 }

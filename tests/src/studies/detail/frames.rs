@@ -140,6 +140,8 @@ fn cube(name: &str) -> Object {
         emitter: None,
         alpha_cutoff: None,
         glass: None,
+        normal_map: None,
+        specular: None,
         double_sided: false,
     };
     let shape = Arc::new(Rigid(vec![draw]));

@@ -50,6 +50,8 @@ impl Room {
             emissive_texture: None,
             alpha_cutoff: None,
             glass: None,
+            normal_map: None,
+            specular: None,
             double_sided,
         });
         self

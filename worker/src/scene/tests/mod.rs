@@ -3,6 +3,7 @@
 mod appearance;
 mod bundles;
 mod compressed;
+mod details;
 mod document_builder;
 mod geometry;
 mod hostile;

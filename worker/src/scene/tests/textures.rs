@@ -26,6 +26,8 @@ fn scene(width: u32, height: u32, pixels: &[[u8; 4]]) -> Scene {
         emissive_texture: None,
         alpha_cutoff: Some(0.5),
         glass: None,
+        normal_map: None,
+        specular: None,
         double_sided: false,
     };
     let instance = MeshInstance {

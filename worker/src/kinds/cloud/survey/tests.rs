@@ -46,6 +46,8 @@ fn add(scene: &mut Scene, sides: &[[Vec3; 4]], emission: f32) {
         emissive_texture: None,
         alpha_cutoff: None,
         glass: None,
+        normal_map: None,
+        specular: None,
         double_sided: false,
     });
 }
