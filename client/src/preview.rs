@@ -29,6 +29,7 @@ use crate::raster::camera_clip_from_world;
 use crate::scene::{LoadedScene, Stance, bounds_of, check_stances};
 
 pub use crate::passes::fog::Fog;
+pub use crate::passes::shade::SurfaceDetails;
 pub use crate::passes::walk::Walks;
 pub use debug::debug_picture;
 pub use edges::probe_edges;
@@ -80,6 +81,8 @@ pub struct View {
     pub objects: Vec<Stance>,
     /// A medium between surfaces.
     pub fog: Option<Fog>,
+    /// Details of surfaces that transport does not know.
+    pub details: SurfaceDetails,
     /// Tone mapping.
     pub tone: Tone,
     /// Exposure.
@@ -136,6 +139,7 @@ impl View {
             emitter_scale: Vec::new(),
             objects: Vec::new(),
             fog: None,
+            details: SurfaceDetails::default(),
             tone: Tone::default(),
             exposure: Exposure::default(),
             samples: 4,

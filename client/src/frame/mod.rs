@@ -8,7 +8,7 @@
 //! set_objects ──▶ shadow maps ─▶ direct ─▶
 //! set_camera ───▶ cascades of suns ──────────────────────────────────────▶ draw
 //! set_lod ──────▶ detail of clusters ────▶
-//! set_fog ───────────────────────────────────────────────────────────────▶ draw
+//! set_fog, set_details ──────────────────────────────────────────────────▶ draw
 //! set_overlay ──▶ colours instead of light ──────────────────────────────▶ draw
 //! ```
 //! Bounces go on from the light that there is: after a small change a few are enough. Whoever shows frames paces them, as a window
@@ -39,7 +39,7 @@ use crate::passes::change::ChangePass;
 use crate::passes::fog::{Fog, FogNumbers, FogPass};
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
-use crate::passes::shade::{ShadePass, ShadeView};
+use crate::passes::shade::{ShadePass, ShadeView, SurfaceDetails};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
 use crate::passes::stopwatch::Stopwatch;
 use crate::picture::PassTime;
@@ -74,6 +74,7 @@ pub struct Frame<'a> {
     overlay: Option<(Overlay, Vec<Vec4>)>,
     errors: Option<MeasuredErrors>,
     has_paint: bool,
+    details: SurfaceDetails,
     fog: Option<Fog>,
     fog_pass: Option<FogPass>,
     /// The view that the froxels are filled for, under light as it is.
@@ -161,6 +162,7 @@ impl<'a> Frame<'a> {
             overlay: None,
             errors: None,
             has_paint: false,
+            details: SurfaceDetails::default(),
             fog: None,
             fog_pass: None,
             fog_filled: None,
@@ -256,6 +258,11 @@ impl<'a> Frame<'a> {
         }
         self.plan_lod();
         Ok(())
+    }
+
+    /// Shows details of surfaces that transport does not know, or leaves them out.
+    pub fn set_details(&mut self, details: SurfaceDetails) {
+        self.details = details;
     }
 
     /// One bounce more, and before it what changes ask for. Waits for nothing; ends with the number of bounces since the last change.
@@ -409,7 +416,8 @@ impl<'a> Frame<'a> {
     }
 
     fn view(&self, camera: &SceneCamera, jitter: [f32; 2]) -> Result<ShadeView> {
-        ShadeView::new(camera, self.room.size, self.bounds_m, self.sky, jitter)
+        let view = ShadeView::new(camera, self.room.size, self.bounds_m, self.sky, jitter)?;
+        Ok(view.with_details(self.details))
     }
 
     /// Writes light that no shadow map has: all bounces are of other light from here on.

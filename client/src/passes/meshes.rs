@@ -5,7 +5,7 @@ use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::gpu::{Gpu, failed, texture};
 use crate::error::Result;
-use crate::scene::{LoadedDraw, LoadedScene, Texture, Vertex};
+use crate::scene::{Encoding, LoadedDraw, LoadedScene, Texture, Vertex};
 
 /// A mesh's buffers.
 #[derive(Debug)]
@@ -143,7 +143,10 @@ fn upload(gpu: &Gpu, texture: &Texture) -> Result<wgpu::TextureView> {
         mip_level_count: texture.levels.len() as u32,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::Rgba8UnormSrgb,
+        format: match texture.encoding {
+            Encoding::Colour => wgpu::TextureFormat::Rgba8UnormSrgb,
+            Encoding::Numbers => wgpu::TextureFormat::Rgba8Unorm,
+        },
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     })?;

@@ -38,6 +38,7 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
     let mut film: Option<Film> = None;
     for jitter in jitters(view.samples) {
         let shade_view = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, jitter)?;
+        let shade_view = shade_view.with_details(view.details);
         indirect.prepare_view(&shade_view, view.size());
         let (indirect, emitter_scale) = (&*indirect, &view.emitter_scale[..]);
         let panorama = view.panorama.as_deref();

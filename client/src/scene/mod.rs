@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use lightkiln_proto::content::Geometry;
-use lightkiln_proto::manifest::{Glass, Manifest};
+use lightkiln_proto::manifest::{Glass, Manifest, Material, TextureUse};
 
 use crate::error::{ClientError, Result};
 use crate::fetch::Source;
@@ -21,8 +21,8 @@ pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, N
 pub use objects::{Object, ObjectShape, Rigid, Stance};
 pub(crate) use objects::{PosedDraw, bounds_of, check_stances};
 pub use recolour::{ALBEDO_MAX, Albedo, Recolour, Tints, check_recolours};
-pub use texture::Texture;
 pub(crate) use texture::srgb_of_linear;
+pub use texture::{Encoding, Texture};
 
 /// A scene, ready to be drawn.
 #[derive(Clone, Debug)]
@@ -60,6 +60,8 @@ impl LoadedScene {
         let lightmap = LightmapLayout::new(&manifest)?;
         let draws = draws::join(&manifest, geometry, &lightmap, &mut warnings)?;
         check_textures(&manifest, textures.len())?;
+        let textures = encoded(&manifest.materials, textures)
+            .map_err(|index| ClientError::inconsistent(format!("texture {index}"), READ_TWICE.to_owned()))?;
         let textures = textures.into_iter().map(Arc::new).collect();
         Ok(Self { manifest, draws, textures, lightmap, warnings, objects: Vec::new() })
     }
@@ -81,10 +83,31 @@ impl LoadedScene {
     }
 }
 
+/// Fault of a texture that one material reads as colours, another as numbers.
+const READ_TWICE: &str = "is read as colours and as numbers";
+
+/// Textures, those that materials read as numbers being such; the first that is read as both is an error.
+fn encoded(materials: &[Material], textures: Vec<Texture>) -> std::result::Result<Vec<Texture>, usize> {
+    let mut reads = vec![[false; 2]; textures.len()];
+    let mut note = |used: &TextureUse, of_numbers: usize| {
+        reads.get_mut(used.texture as usize).into_iter().for_each(|reads| reads[of_numbers] = true);
+    };
+    for material in materials {
+        material.colour_textures().for_each(|used| note(used, 0));
+        material.number_textures().for_each(|used| note(used, 1));
+    }
+    if let Some(both) = reads.iter().position(|reads| *reads == [true; 2]) {
+        return Err(both);
+    }
+    let all = textures.into_iter().zip(reads);
+    Ok(all
+        .map(|(texture, [_, of_numbers])| if of_numbers { texture.of_numbers() } else { texture })
+        .collect())
+}
+
 fn check_textures(manifest: &Manifest, count: usize) -> Result<()> {
     for (index, material) in manifest.materials.iter().enumerate() {
-        let mut uses = objects::uses(material);
-        if let Some(bad) = uses.find(|used| used.texture as usize >= count) {
+        if let Some(bad) = material.textures().find(|used| used.texture as usize >= count) {
             let problem = format!("names texture {} of {count}", bad.texture);
             return Err(ClientError::inconsistent(format!("material {index}"), problem));
         }

@@ -6,12 +6,12 @@ use std::sync::Arc;
 
 use glam::{Affine3A, EulerRot, Mat3, Quat, Vec3};
 use lightkiln_proto::content::Draw;
-use lightkiln_proto::manifest::{Material, TextureUse};
+use lightkiln_proto::manifest::Material;
 pub use lightkiln_proto::scene::Stance;
 
 use super::draws::{LoadedDraw, Vertex, checked};
 use super::lightmap::NO_BLOCK;
-use super::{LoadedScene, Texture};
+use super::{LoadedScene, READ_TWICE, Texture, encoded};
 use crate::error::{ClientError, Result};
 
 /// Most objects beside a bake.
@@ -81,11 +81,13 @@ impl LoadedScene {
         let [first_texture, first_material] =
             [self.textures.len(), self.manifest.materials.len()].map(|count| count as u32);
         for material in &materials {
-            if let Some(bad) = uses(material).find(|used| used.texture as usize >= textures.len()) {
+            if let Some(bad) = material.textures().find(|used| used.texture as usize >= textures.len()) {
                 let problem = format!("names texture {} of {}", bad.texture, textures.len());
                 return Err(refused(&name, format!("has a material '{}' that {problem}", material.name)));
             }
         }
+        let textures = encoded(&materials, textures)
+            .map_err(|index| refused(&name, format!("has a texture {index} that {READ_TWICE}")))?;
         let mut placed =
             PlacedObject { name, shape, first_draw: self.draws.draws.len(), draws: 0, first_material };
         let rest = Stance::default();
@@ -241,22 +243,16 @@ fn refused(name: &str, problem: String) -> ClientError {
     ClientError::Argument { what: format!("object '{name}'"), problem }
 }
 
-/// Textures that a material names.
-pub(super) fn uses(material: &Material) -> impl Iterator<Item = &TextureUse> {
-    let of_glass = material.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref());
-    material.base_colour_texture.iter().chain(&material.emissive_texture).chain(of_glass)
-}
-
 /// A material whose textures come `first` later, and which is no emitter of the bake's.
 fn shifted(mut material: Material, first: u32) -> Material {
-    let of_glass = material.glass.as_mut().and_then(|glass| glass.transmission_texture.as_mut());
-    let uses = [material.base_colour_texture.as_mut(), material.emissive_texture.as_mut(), of_glass];
-    uses.into_iter().flatten().for_each(|used| used.texture += first);
+    material.textures_mut().for_each(|used| used.texture += first);
     Material { emitter: None, ..material }
 }
 
 #[cfg(test)]
 mod tests {
+    use lightkiln_proto::manifest::TextureUse;
+
     use super::*;
     use crate::fixture;
 

@@ -1,4 +1,4 @@
-//! Base-colour and emissive textures: decoded with limits, with mip levels averaged in linear light.
+//! Textures: decoded with limits, with mip levels averaged in linear light, or over numbers where they hold such.
 
 use std::io::Cursor;
 use std::sync::LazyLock;
@@ -12,9 +12,20 @@ const MAX_SIDE: u32 = 16_384;
 /// Most bytes that decoding one texture may take.
 const MAX_DECODED_BYTES: u64 = 1 << 30;
 
-/// A texture: sRGB colour and linear alpha, 8 bits each.
+/// Meaning of a texture's codes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// sRGB colour and linear alpha.
+    Colour,
+    /// Linear numbers.
+    Numbers,
+}
+
+/// A texture of 8 bits a channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Texture {
+    /// Meaning of its codes.
+    pub encoding: Encoding,
     /// Mip levels, finest first, each half as large, down to 1 × 1.
     pub levels: Vec<Level>,
 }
@@ -57,7 +68,7 @@ impl Texture {
         Ok(Self::new(picture.width(), picture.height(), texels))
     }
 
-    /// A texture from its finest level; an empty one becomes a white texel.
+    /// A texture of colour from its finest level; an empty one becomes a white texel.
     pub fn new(width: u32, height: u32, texels: Vec<[u8; 4]>) -> Self {
         let whole = width > 0 && height > 0 && texels.len() == width as usize * height as usize;
         let finest = if whole {
@@ -65,11 +76,20 @@ impl Texture {
         } else {
             Level { width: 1, height: 1, texels: vec![[255; 4]] }
         };
+        Self::of_finest(finest, Encoding::Colour)
+    }
+
+    /// The same codes taken for linear numbers.
+    pub fn of_numbers(mut self) -> Self {
+        Self::of_finest(self.levels.swap_remove(0), Encoding::Numbers)
+    }
+
+    fn of_finest(finest: Level, encoding: Encoding) -> Self {
         let mut levels = vec![finest];
-        while let Some(coarser) = levels.last().and_then(Level::halved) {
+        while let Some(coarser) = levels.last().and_then(|level| level.halved(encoding)) {
             levels.push(coarser);
         }
-        Self { levels }
+        Self { encoding, levels }
     }
 
     /// Colour at coordinates `uv`, trilinear; `footprint` is the length in uv of a pixel's longer step on each axis.
@@ -77,11 +97,12 @@ impl Texture {
         let last = self.levels.len() - 1;
         let lod = lod.clamp(0.0, last as f32);
         let (level, fraction) = (lod as usize, lod.fract());
-        let fine = self.levels[level].bilinear(uv, wrap);
+        let read = |level: usize| self.levels[level].bilinear(uv, wrap, self.encoding);
+        let fine = read(level);
         if fraction == 0.0 {
             return fine;
         }
-        fine.lerp(self.levels[(level + 1).min(last)].bilinear(uv, wrap), fraction)
+        fine.lerp(read((level + 1).min(last)), fraction)
     }
 
     /// Level of detail for steps of uv along a pixel's two axes: log₂ of the longer one in texels.
@@ -93,14 +114,14 @@ impl Texture {
 }
 
 impl Level {
-    fn bilinear(&self, uv: [f32; 2], wrap: [Wrap; 2]) -> Vec4 {
+    fn bilinear(&self, uv: [f32; 2], wrap: [Wrap; 2], encoding: Encoding) -> Vec4 {
         let x = uv[0] * self.width as f32 - 0.5;
         let y = uv[1] * self.height as f32 - 0.5;
         let (x0, y0) = (x.floor(), y.floor());
         let at = |dx: f32, dy: f32| {
             let column = wrapped(x0 + dx, self.width, wrap[0]);
             let row = wrapped(y0 + dy, self.height, wrap[1]);
-            linear(self.texels[row * self.width as usize + column])
+            encoding.decoded(self.texels[row * self.width as usize + column])
         };
         let upper = at(0.0, 0.0).lerp(at(1.0, 0.0), x - x0);
         let lower = at(0.0, 1.0).lerp(at(1.0, 1.0), x - x0);
@@ -108,19 +129,19 @@ impl Level {
     }
 
     /// The next coarser level: means of 2 × 2 texels in linear light (edges repeat when a side is odd).
-    fn halved(&self) -> Option<Self> {
+    fn halved(&self, encoding: Encoding) -> Option<Self> {
         if self.width == 1 && self.height == 1 {
             return None;
         }
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
         let at = |x: u32, y: u32| {
             let (x, y) = (x.min(self.width - 1), y.min(self.height - 1));
-            linear(self.texels[(y * self.width + x) as usize])
+            encoding.decoded(self.texels[(y * self.width + x) as usize])
         };
         let mean = |x: u32, y: u32| {
             let sum =
                 at(2 * x, 2 * y) + at(2 * x + 1, 2 * y) + at(2 * x, 2 * y + 1) + at(2 * x + 1, 2 * y + 1);
-            bytes(sum * 0.25)
+            encoding.encoded(sum * 0.25)
         };
         let texels =
             (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| mean(x, y)).collect();
@@ -128,15 +149,28 @@ impl Level {
     }
 }
 
-fn linear([r, g, b, a]: [u8; 4]) -> Vec4 {
-    let table = &*LINEAR_OF_SRGB;
-    Vec4::new(table[usize::from(r)], table[usize::from(g)], table[usize::from(b)], f32::from(a) / 255.0)
-}
+impl Encoding {
+    fn decoded(self, codes: [u8; 4]) -> Vec4 {
+        let numbers = Vec4::from(codes.map(|code| f32::from(code) / 255.0));
+        match self {
+            Self::Numbers => numbers,
+            Self::Colour => {
+                let [r, g, b, _] = codes.map(|code| LINEAR_OF_SRGB[usize::from(code)]);
+                Vec4::new(r, g, b, numbers.w)
+            }
+        }
+    }
 
-fn bytes(colour: Vec4) -> [u8; 4] {
-    let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
-    let [r, g, b, a] = colour.to_array();
-    [byte(srgb_of_linear(r)), byte(srgb_of_linear(g)), byte(srgb_of_linear(b)), byte(a)]
+    fn encoded(self, texel: Vec4) -> [u8; 4] {
+        let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let [r, g, b, a] = texel.to_array();
+        match self {
+            Self::Numbers => [r, g, b, a].map(byte),
+            Self::Colour => {
+                [byte(srgb_of_linear(r)), byte(srgb_of_linear(g)), byte(srgb_of_linear(b)), byte(a)]
+            }
+        }
+    }
 }
 
 fn wrapped(index: f32, size: u32, wrap: Wrap) -> usize {
@@ -164,6 +198,19 @@ mod tests {
     fn coarsest_level_is_the_mean_in_linear_light() {
         let coarse = checker().sample([0.5, 0.5], [Wrap::Repeat; 2], 9.0);
         assert!((coarse.x - 0.5).abs() < 5e-3, "{coarse}");
+    }
+
+    #[test]
+    fn numbers_are_read_and_averaged_as_they_are() {
+        let numbers = checker().of_numbers();
+        let read = |lod| numbers.sample([0.25, 0.25], [Wrap::Clamp; 2], lod).x;
+        assert_eq!(read(0.0), 0.0);
+        assert_eq!(read(9.0), 128.0 / 255.0);
+        let colour = Texture::new(1, 1, vec![[128, 128, 255, 51]]);
+        let [of_colour, of_numbers] = [colour.clone(), colour.of_numbers()]
+            .map(|texture| texture.sample([0.5; 2], [Wrap::Clamp; 2], 0.0));
+        assert!((of_colour.x - 0.2159).abs() < 1e-3 && of_colour.w == 0.2, "{of_colour}");
+        assert_eq!((of_numbers.x, of_numbers.z, of_numbers.w), (128.0 / 255.0, 1.0, 0.2));
     }
 
     #[test]

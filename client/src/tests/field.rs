@@ -4,14 +4,13 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
 
 use super::objects::{cube_at, lamp_view, with_cube};
-use super::{prepared, view_of};
+use super::{prepared, surface_at, view_of};
 use crate::bake::LoadedBake;
 use crate::fixture;
 use crate::kinds::field;
 use crate::lights::parse_light;
 use crate::passes::compare::Difference;
 use crate::passes::shade;
-use crate::passes::shade::Surface;
 use crate::passes::shadow::reference::draw;
 use crate::preview::{Backend, View, render};
 use crate::scene::Stance;
@@ -63,17 +62,7 @@ fn light_beside_a_wall(is_lattice: bool) {
     let settled = crate::bake::Light::settle(&light, &lit, Limit::default());
     let object = scene.draws.draws.len() as u32;
     let at = |position: Vec3, normal: Vec3| {
-        let (facet, front) = (normal, true);
-        let surface = Surface {
-            position,
-            normal,
-            facet,
-            draw: object,
-            front,
-            lightmap_texel: [0.0; 2],
-            lightmap_before: [0.0; 2],
-        };
-        settled.indirect.indirect_irradiance(&surface)
+        settled.indirect.indirect_irradiance(&surface_at(position, normal, object))
     };
     // Over the floor's middle, looking up, there is the light of the whole room; the floor itself has about as much.
     let floor = light.lightmap.settled(&lit, Limit::default()).light;

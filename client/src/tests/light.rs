@@ -12,7 +12,7 @@ use super::{fixture_light, fixture_view, prepared};
 use crate::fixture::{ROOM, manifest, texture};
 use crate::lights::{Caster, parse_light};
 use crate::passes::atlas::reference::{sample, spread};
-use crate::passes::direct::reference::{direct_irradiance, direct_texels, seen_irradiance};
+use crate::passes::direct::reference::{direct_irradiance, direct_texels};
 use crate::passes::shadow::reference::{ShadowMaps, draw};
 use crate::passes::shadow::{Eye, ShadowPlan};
 use crate::preview::{Backend, View, render};
@@ -38,7 +38,7 @@ impl Lamp {
     }
 
     pub(super) fn seen_at(&self, position: Vec3, normal: Vec3) -> f32 {
-        seen_irradiance(&self.plan, &self.maps, [position; 2], normal, normal).x
+        super::seen_irradiance((&self.plan, &self.maps), position, normal).x
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod adapter;
 mod detail;
+mod details;
 pub(crate) mod facing;
 mod factors;
 mod field;
@@ -21,11 +22,17 @@ mod shadows;
 mod show;
 mod under_way;
 
+use glam::Vec3;
 use lightkiln_proto::relight::PatchTable;
 
 use crate::bake::LoadedBake;
 use crate::fixture;
 use crate::lightmap::LightmapLight;
+use crate::passes::shade::Surface;
+use crate::passes::shade::lamps::seen_light;
+use crate::passes::shade::specular::Gloss;
+use crate::passes::shadow::ShadowPlan;
+use crate::passes::shadow::reference::ShadowMaps;
 use crate::preview::{Prepared, View};
 use crate::scene::LoadedScene;
 
@@ -51,4 +58,24 @@ pub(crate) fn fixture_light() -> (LoadedScene, LightmapLight<PatchTable>) {
 /// A view prepared for either backend.
 pub(crate) fn prepared<'a>(bake: &'a LoadedBake, view: &'a View) -> Prepared<'a> {
     Prepared::new(bake, view).unwrap()
+}
+
+/// A point of a surface of draw `draw`, outside of any lightmap.
+pub(crate) fn surface_at(position: Vec3, normal: Vec3, draw: u32) -> Surface {
+    Surface {
+        position,
+        normal,
+        facet: normal,
+        towards: normal,
+        draw,
+        front: true,
+        lightmap_texel: [0.0; 2],
+        lightmap_before: [0.0; 2],
+    }
+}
+
+/// Irradiance of lamps at a point that is seen.
+pub(crate) fn seen_irradiance(lamps: (&ShadowPlan, &ShadowMaps), position: Vec3, normal: Vec3) -> Vec3 {
+    let plain = Gloss::of(Vec3::ONE, [0.0, -1.0], normal, normal);
+    seen_light(lamps, &surface_at(position, normal, 0), position, &plain).irradiance
 }

@@ -181,7 +181,8 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "Relight": RelightNumbers { first_probe, receiver_count, rays, coefficients }
         "ShadeDraw": ShadeDraw {
             base_colour, emissive, base_row0, base_row1, emissive_row0, emissive_row1, transmission_row0,
-            transmission_row1, cutoff, index, transmission, blends
+            transmission_row1, normal_row0, normal_row1, specular_row0, specular_row1, cutoff, index, transmission,
+            blends, normal_scale, has_normals, metallic, roughness
         }
         "Show": ShowNumbers { exposure, tone, encodes, pad }
         "StandIn": StandIn { slot, cluster, sources }

@@ -10,6 +10,7 @@ use lightkiln_proto::words::{camera_to_text, light_to_text, lod_to_text, panoram
 use crate::bake::Overlay;
 use crate::lights::{Panorama, quoted};
 use crate::passes::fog::Fog;
+use crate::passes::shade::SurfaceDetails;
 use crate::picture::{Exposure, Tone};
 use crate::preview::View;
 use crate::scene::{LoadedScene, Recolour, Stance};
@@ -32,6 +33,8 @@ pub struct Edits {
     pub objects: Vec<PlacedObject>,
     /// A medium between surfaces.
     pub fog: Option<Fog>,
+    /// Details of surfaces that transport does not know.
+    pub details: SurfaceDetails,
     /// Exposure.
     pub exposure: Exposure,
     /// Curve.
@@ -98,10 +101,19 @@ impl Edits {
             length_s: scene.object_length_s(index, stance.clip),
         });
         let objects = objects.collect();
-        let (lights, exposure, tone) = (view.lights.clone(), view.exposure, view.tone);
-        let panorama = view.panorama.clone();
-        let (fog, lod) = (view.fog, view.lod);
-        Self { lights, panorama, emitters, colours, objects, fog, exposure, tone, overlay: None, lod }
+        Self {
+            lights: view.lights.clone(),
+            panorama: view.panorama.clone(),
+            emitters,
+            colours,
+            objects,
+            fog: view.fog,
+            details: view.details,
+            exposure: view.exposure,
+            tone: view.tone,
+            overlay: None,
+            lod: view.lod,
+        }
     }
 
     /// Where objects stand.
@@ -177,6 +189,12 @@ impl Edits {
         }
         if let Some(fog) = self.fog {
             option("fog", &fog.to_string());
+        }
+        if !self.details.normal_maps {
+            option("normal-maps", "off");
+        }
+        if !self.details.specular {
+            option("specular", "off");
         }
         match self.exposure {
             Exposure::Auto { stops: 0.0 } => {}

@@ -273,6 +273,8 @@ fn fog(ui: &mut Ui, edits: &mut Edits) {
 }
 
 fn materials(ui: &mut Ui, edits: &mut Edits) {
+    ui.checkbox(&mut edits.details.normal_maps, "normal maps");
+    ui.checkbox(&mut edits.details.specular, "specular reflection");
     for colour in &mut edits.colours {
         ui.horizontal(|ui| {
             if colour.is_glass {

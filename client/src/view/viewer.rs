@@ -90,6 +90,7 @@ impl Viewer {
         frame.set_sky(edits.panorama.as_ref())?;
         frame.set_emitters(&edits.emitters)?;
         frame.set_fog(edits.fog)?;
+        frame.set_details(edits.details);
         frame.set_materials(&edits.recolours())?;
         frame.set_objects(&edits.stances())?;
         frame.set_lod(edits.lod)?;
@@ -153,7 +154,8 @@ impl Viewer {
     /// The view that is shown, as headless pictures take it.
     pub fn view(&self) -> View {
         let objects = self.applied.stances();
-        let Edits { lights, panorama, emitters, fog, exposure, tone, lod, .. } = self.applied.clone();
+        let Edits { lights, panorama, emitters, fog, details, exposure, tone, lod, .. } =
+            self.applied.clone();
         let camera = self.frame.camera().clone();
         let [width, height] = self.size;
         let emitter_scale = emitters;
@@ -166,6 +168,7 @@ impl Viewer {
             emitter_scale,
             objects,
             fog,
+            details,
             exposure,
             tone,
             lod,
@@ -341,6 +344,7 @@ impl Viewer {
                 self.edits.fog = self.applied.fog;
             }
         }
+        self.frame.set_details(self.edits.details);
         if self.edits.colours != self.applied.colours {
             let set = self.frame.set_materials(&self.edits.recolours());
             if self.refused(set)? {

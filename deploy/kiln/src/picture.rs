@@ -12,7 +12,7 @@ use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{
-    Backend, Fog, StreamedBake, View, ViewPath, Walks, debug_picture, render, render_path,
+    Backend, Fog, StreamedBake, SurfaceDetails, View, ViewPath, Walks, debug_picture, render, render_path,
 };
 use lightkiln_client::scene::{Object, Recolour, check_recolours};
 use lightkiln_client::stream::{Budget, Streamed};
@@ -58,6 +58,12 @@ pub struct LookArguments {
     /// voxels=on, drawn by the processor
     #[arg(long, value_name = "METRES", help_heading = "Picture")]
     ao: Option<f32>,
+    /// Normal maps of materials; off shows the surfaces that light is baked for, as the path tracer has them
+    #[arg(long, value_enum, default_value = "on", value_name = "SHOWN", help_heading = "Picture")]
+    normal_maps: Shown,
+    /// Specular reflection by metallic and roughness of materials; off shows all surfaces as diffuse, as the path tracer has them
+    #[arg(long, value_enum, default_value = "on", value_name = "SHOWN", help_heading = "Picture")]
+    specular: Shown,
     /// Levels of detail by distance and view, for bakes of many receivers: "fine", "balanced", "coarse", or words, as
     /// "balanced level1=0.2,3,16,1,2 behind=8": where a level begins (in scene diagonals, or metres as 20m), tree level of its columns, rank,
     /// level of its receivers (0 all, 1 a quarter, …), bounces from one update to the next [default: all detail]
@@ -101,6 +107,15 @@ pub struct PictureArguments {
     /// Page of --debug
     #[arg(long, default_value_t = 0, requires = "debug", help_heading = "Picture")]
     page: usize,
+}
+
+/// Parts of a picture that can be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Shown {
+    /// Shown
+    On,
+    /// Left out
+    Off,
 }
 
 /// Tone curves.
@@ -165,6 +180,10 @@ impl LookArguments {
         view.exposure = Exposure::Auto { stops: self.exposure };
         view.fog = self.fog;
         view.walks.occlusion_m = self.ao;
+        view.details = SurfaceDetails {
+            normal_maps: self.normal_maps == Shown::On,
+            specular: self.specular == Shown::On,
+        };
         if view.fog.is_some() && bake.light.medium().is_none() {
             notes.push(format!(
                 "bakes of kind {} have no probes in free space: fog shows light of lamps alone, none of skies and surfaces",

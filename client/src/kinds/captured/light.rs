@@ -42,7 +42,7 @@ struct Shown<'a>(&'a CapturedLight);
 impl IndirectIrradiance for Shown<'_> {
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
         let CapturedLight { field, rows } = self.0;
-        field.irradiance(rows, field.raised(surface.position, surface.facet), surface.normal)
+        field.irradiance(rows, field.raised(surface.position, surface.facet), surface.towards)
     }
 
     fn mean_radiance(&self, point: Vec3) -> Vec3 {

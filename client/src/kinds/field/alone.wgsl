@@ -1,5 +1,5 @@
 // All surfaces have the light of the field, from a little before them: there is no lightmap. Joined behind `field.wgsl`.
 
 fn indirect_irradiance(surface: Surface) -> vec3f {
-    return field_irradiance(surface.position + surface.facet * min(0.1 * distance_between_probes_m(), 0.1), surface.normal);
+    return field_irradiance(surface.position + surface.facet * min(0.1 * distance_between_probes_m(), 0.1), surface.towards);
 }

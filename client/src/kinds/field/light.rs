@@ -23,6 +23,10 @@ use crate::threads::Threads;
 
 const _: () = assert!(PROBE_ROWS == bake::PROBE_COEFFICIENTS && NO_PROBE == bake::NO_PROBE);
 
+/// Light about another direction than a surface's normal, of that about its normal, at most. More → bumps towards bright windows are as
+/// bright as the field says; less → errors of a field beside walls show less.
+const TURNED_MOST: f32 = 4.0;
+
 /// The light of a bake with a field.
 #[derive(Debug)]
 pub struct FieldLight {
@@ -41,14 +45,26 @@ struct Shown<'a> {
     rows: Vec<Vec4>,
 }
 
+impl Shown<'_> {
+    /// Light about another direction than a surface's normal, of that about its normal, per channel (METHOD.md §2.15): a lightmap knows
+    /// light about normals alone.
+    fn turned(&self, surface: &Surface) -> Vec3 {
+        let at = self.field.raised(surface.position, surface.facet);
+        let [about_normal, about] = [surface.normal, surface.towards]
+            .map(|direction| self.field.irradiance(&self.rows, at, direction));
+        let share = (about / about_normal.max(Vec3::splat(1e-30))).min(Vec3::splat(TURNED_MOST));
+        Vec3::select((about_normal + about).cmple(Vec3::ZERO), Vec3::ONE, share)
+    }
+}
+
 impl IndirectIrradiance for Shown<'_> {
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
         let draw = &self.scene.draws.draws[surface.draw as usize];
         if [draw.front, draw.back] == [NO_BLOCK; 2] {
-            self.field.irradiance(&self.rows, surface.position, surface.normal)
-        } else {
-            read(self.scene, &self.pages, surface)
+            return self.field.irradiance(&self.rows, surface.position, surface.towards);
         }
+        let own = read(self.scene, &self.pages, surface);
+        if surface.towards == surface.normal { own } else { own * self.turned(surface) }
     }
 
     fn mean_radiance(&self, point: Vec3) -> Vec3 {

@@ -81,28 +81,6 @@ pub fn direct_irradiance(
     plan.lights.iter().map(of_light).sum()
 }
 
-/// As [`direct_irradiance`], of a point that is seen: by cascades where there are some. Shadows are those of `before`, a
-/// point a little nearer to the eye.
-pub fn seen_irradiance(
-    plan: &ShadowPlan,
-    maps: &ShadowMaps,
-    [position, before]: [Vec3; 2],
-    normal: Vec3,
-    facet: Vec3,
-) -> Vec3 {
-    let of_light = |light: &Light| {
-        if light.shape == Shape::Rect as u32 {
-            return rect_irradiance((plan, maps), light, [position, before], normal, facet).truncate();
-        }
-        let arriving = unshadowed(light, position, normal);
-        if arriving.max_element() <= 0.0 {
-            return Vec3::ZERO;
-        }
-        arriving * share_seen((plan, maps), light, before, facet)
-    };
-    plan.lights.iter().map(of_light).sum()
-}
-
 /// Irradiance of a light on a plane that faces it at a point in free space, seen by the eye, in W·m⁻².
 pub fn arriving(
     (plan, maps): (&ShadowPlan, &ShadowMaps),
@@ -209,7 +187,12 @@ pub(super) fn share_by(
 }
 
 /// Share of a light that arrives at a point that is seen: by the narrowest cascade that holds it, fading in at its rim.
-fn share_seen((plan, maps): (&ShadowPlan, &ShadowMaps), light: &Light, position: Vec3, facet: Vec3) -> f32 {
+pub(in crate::passes) fn share_seen(
+    (plan, maps): (&ShadowPlan, &ShadowMaps),
+    light: &Light,
+    position: Vec3,
+    facet: Vec3,
+) -> f32 {
     let by = |face| share_by((plan, maps), face, light, position, facet);
     for cascade in (0..light.cascades).rev() {
         let face = light.first_cascade + cascade;
@@ -250,7 +233,7 @@ pub(super) fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
     light.first_face + if light.face_count == 6 { cube_face(d) } else { 0 }
 }
 
-fn unshadowed(light: &Light, position: Vec3, normal: Vec3) -> Vec3 {
+pub(in crate::passes) fn unshadowed(light: &Light, position: Vec3, normal: Vec3) -> Vec3 {
     let strength = Vec3::from(light.strength);
     let direction = Vec3::from(light.direction);
     if light.shape == Shape::Sun as u32 {

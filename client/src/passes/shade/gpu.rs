@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use glam::Vec4;
-use lightkiln_proto::manifest::Material;
+use lightkiln_proto::manifest::{Material, TextureUse};
 use wgpu::ShaderStages as Stages;
 
 use super::panes::{Panes, runs};
@@ -37,6 +37,14 @@ pub struct ShadeDraw {
     pub transmission_row0: [f32; 4],
     /// Second row.
     pub transmission_row1: [f32; 4],
+    /// Map from uv to the normal map's coordinates.
+    pub normal_row0: [f32; 4],
+    /// Second row.
+    pub normal_row1: [f32; 4],
+    /// Map from uv to the metallic-roughness texture's coordinates.
+    pub specular_row0: [f32; 4],
+    /// Second row.
+    pub specular_row1: [f32; 4],
     /// Alpha below it is not drawn.
     pub cutoff: f32,
     /// Number of the draw.
@@ -45,6 +53,28 @@ pub struct ShadeDraw {
     pub transmission: f32,
     /// 1 where alpha is the share that is there.
     pub blends: f32,
+    /// Factor on x and y of the normal map's normals.
+    pub normal_scale: f32,
+    /// 1 where there is a normal map.
+    pub has_normals: f32,
+    /// Share of metal.
+    pub metallic: f32,
+    /// Below 0 where all reflection is diffuse.
+    pub roughness: f32,
+}
+
+/// Textures of a material, each with its sampler.
+const MATERIAL_TEXTURES: usize = 5;
+
+/// Textures of a material in the order of their bindings.
+fn textures_of(material: &Material) -> [Option<&TextureUse>; MATERIAL_TEXTURES] {
+    [
+        material.base_colour_texture.as_ref(),
+        material.emissive_texture.as_ref(),
+        material.glass.as_ref().and_then(|glass| glass.transmission_texture.as_ref()),
+        material.normal_map.as_ref().map(|map| &map.texture),
+        material.specular.as_ref().and_then(|specular| specular.texture.as_ref()),
+    ]
 }
 
 /// The pass and its target.
@@ -88,7 +118,7 @@ impl ShadePass {
         kinds.extend(shading.bindings.iter().map(|kind| (Stages::FRAGMENT, *kind)));
         let view_layout = gpu.bind_layout(&kinds);
         let draw_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(true))]);
-        let material_layout = gpu.bind_layout(&[sampled(), sampled(), sampled()].concat());
+        let material_layout = gpu.bind_layout(&[sampled(); MATERIAL_TEXTURES].concat());
         let layout =
             gpu.pipeline_layout(&[&shadow.light_layout, &view_layout, &draw_layout, &material_layout]);
         let module = gpu.module("shade", &shading.shader());
@@ -102,13 +132,7 @@ impl ShadePass {
         };
         let draws = gpu.bind(&draw_layout, &[wgpu::BindingResource::Buffer(window)]);
         let bind_material = |material: &Material| {
-            let [base, base_sampler] = meshes.texture(material.base_colour_texture.as_ref());
-            let [emissive, emissive_sampler] = meshes.texture(material.emissive_texture.as_ref());
-            let glass = material.glass.as_ref();
-            let [passing, sampler] =
-                meshes.texture(glass.and_then(|glass| glass.transmission_texture.as_ref()));
-            let resources = [base, base_sampler, emissive, emissive_sampler, passing, sampler];
-            gpu.bind(&material_layout, &resources)
+            gpu.bind(&material_layout, &textures_of(material).map(|used| meshes.texture(used)).concat())
         };
         let panes = Panes::of(scene);
         let sides = [Some(wgpu::Face::Back), None];
@@ -296,11 +320,15 @@ fn shade_draw(
     let material = &scene.manifest.materials[draw.material as usize];
     let scale =
         material.emitter.and_then(|emitter| emitter_scale.get(usize::from(emitter))).copied().unwrap_or(1.0);
-    let [base_row0, base_row1] = uv_rows(material.base_colour_texture.as_ref());
-    let [emissive_row0, emissive_row1] = uv_rows(material.emissive_texture.as_ref());
-    let glass = material.glass.as_ref();
-    let [transmission_row0, transmission_row1] =
-        uv_rows(glass.and_then(|glass| glass.transmission_texture.as_ref()));
+    let [
+        [base_row0, base_row1],
+        [emissive_row0, emissive_row1],
+        [transmission_row0, transmission_row1],
+        [normal_row0, normal_row1],
+        [specular_row0, specular_row1],
+    ] = textures_of(material).map(uv_rows);
+    let (glass, normals) = (material.glass.as_ref(), material.normal_map.as_ref());
+    let specular = material.specular.as_ref();
     let [r, g, b] = material.emissive.map(|channel| channel * scale);
     ShadeDraw {
         base_colour: tints.base_colour(scene, draw.material),
@@ -311,10 +339,18 @@ fn shade_draw(
         emissive_row1,
         transmission_row0,
         transmission_row1,
+        normal_row0,
+        normal_row1,
+        specular_row0,
+        specular_row1,
         cutoff: material.alpha_cutoff.unwrap_or(-1.0),
         index,
         transmission: glass.map_or(0.0, |glass| glass.transmission),
         blends: f32::from(u8::from(glass.is_some_and(|glass| glass.blends))),
+        normal_scale: normals.map_or(0.0, |map| map.scale),
+        has_normals: f32::from(u8::from(normals.is_some())),
+        metallic: specular.map_or(0.0, |specular| specular.metallic),
+        roughness: specular.map_or(-1.0, |specular| specular.roughness),
     }
 }
 

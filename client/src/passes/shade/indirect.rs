@@ -12,7 +12,8 @@ pub trait IndirectIrradiance: Sync {
         let _ = (view, size);
     }
 
-    /// Irradiance at a surface that did not come straight from a light, W·m⁻².
+    /// Irradiance at a surface that did not come straight from a light, W·m⁻²: about `surface.towards` where the kind knows light by
+    /// directions, else about its normal.
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3;
 
     /// Mean radiance over all directions at a point in free space, but for what comes straight from a light, in W·m⁻²·sr⁻¹: a medium

@@ -2,9 +2,12 @@
 
 mod gpu;
 mod indirect;
+pub mod lamps;
+mod normals;
 mod panes;
 mod panorama;
 pub mod reference;
+pub mod specular;
 pub mod surface;
 mod view;
 
@@ -12,7 +15,7 @@ pub use gpu::{ShadeDraw, ShadePass};
 pub use indirect::{IndirectIrradiance, Shading};
 pub use panorama::{PANORAMA_SHADER, PanoramaNumbers};
 pub use surface::Surface;
-pub use view::ShadeView;
+pub use view::{ShadeView, SurfaceDetails};
 
 /// The shader, with the lights' part in front; [`Shading::shader`] adds indirect light.
 pub const SHADER: &str = concat!(
@@ -21,6 +24,9 @@ pub const SHADER: &str = concat!(
     include_str!("../shared/shadow_map.wgsl"),
     include_str!("../shared/glass.wgsl"),
     include_str!("view.wgsl"),
+    include_str!("normals.wgsl"),
+    include_str!("specular.wgsl"),
+    include_str!("lamps.wgsl"),
     include_str!("shade.wgsl")
 );
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read

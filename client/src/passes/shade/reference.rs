@@ -6,11 +6,12 @@ use std::ops::Range;
 use glam::Vec4;
 use rayon::prelude::*;
 
+use super::lamps::seen_light;
 use super::panes::Panes;
+use super::specular::Gloss;
 use super::surface::surface_at;
-use super::{IndirectIrradiance, ShadeView};
+use super::{IndirectIrradiance, ShadeView, Surface};
 use crate::lights::Panorama;
-use crate::passes::direct::reference::seen_irradiance;
 use crate::passes::fog::reference::Froxels;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, masked_out};
@@ -151,15 +152,22 @@ fn visible(scene: &LoadedScene, drawn: &[Drawn], width: u32, rows: Range<u32>) -
     (depth, seen)
 }
 
-/// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD.md §1; w is the share of light that the surface stops.
+/// `L = Lₑ + ρ/π·(E_dir + E)` with indirect light E, METHOD.md §1, and what microfacets reflect, §2.15; w is the share of light that the
+/// surface stops.
 fn radiance(lit: Lit<'_>, view: &ShadeView, drawn: &Drawn, [x, y]: [f64; 2]) -> Vec4 {
     let shaded = surface_at(lit.scene, drawn.draw, &drawn.triangle, (x, y), (view, lit.emitter_scale));
     let surface = &shaded.surface;
+    let about = |towards| lit.indirect.indirect_irradiance(&Surface { towards, ..*surface });
     if view.shows_irradiance() {
-        return lit.indirect.indirect_irradiance(surface).extend(shaded.stopped);
+        return about(surface.normal).extend(shaded.stopped);
     }
-    let places = [surface.position, view.before(surface.position)];
-    let e_dir = seen_irradiance(lit.plan, lit.maps, places, surface.normal, surface.facet);
-    let own = shaded.emission + shaded.albedo / PI * (e_dir + lit.indirect.indirect_irradiance(surface));
+    let eye = view.towards_eye(surface.position);
+    let gloss = Gloss::of(shaded.albedo, shaded.metallic_roughness, surface.towards, eye);
+    let seen = seen_light((lit.plan, lit.maps), surface, view.before(surface.position), &gloss);
+    let diffuse = shaded.albedo * gloss.diffuse / PI * (seen.irradiance + about(surface.towards));
+    let mut own = shaded.emission + diffuse;
+    if gloss.is_specular() {
+        own += seen.reflected + gloss.reflectance / PI * about(gloss.lobe);
+    }
     own.extend(shaded.stopped)
 }

@@ -1,7 +1,7 @@
-// Radiance that reaches the camera: Lₑ + ρ/π·(E_dir + E), the sky where nothing is; twin: reference.rs.
+// Radiance that reaches the camera: Lₑ + ρ/π·(E_dir + E), with what microfacets reflect, the sky where nothing is; twin: reference.rs.
 // Of glass, alpha is the share of light that it stops: it is drawn over what is behind it.
 // `light.wgsl` and `view.wgsl` are joined in front, the former holds group 0. Indirect light E is the kind's: its snippet is joined behind, has
-// `fn indirect_irradiance(surface: Surface) -> vec3f` and its bindings in group 1 from 1.
+// `fn indirect_irradiance(surface: Surface) -> vec3f`, about `surface.towards` where the kind knows directions, and its bindings in group 1 from 1.
 
 struct ShadeDraw {
     base_colour: vec4f,
@@ -14,6 +14,10 @@ struct ShadeDraw {
     emissive_row1: vec4f,
     transmission_row0: vec4f,
     transmission_row1: vec4f,
+    normal_row0: vec4f,
+    normal_row1: vec4f,
+    specular_row0: vec4f,
+    specular_row1: vec4f,
     // Alpha below it is not drawn.
     cutoff: f32,
     // Number of the draw.
@@ -22,6 +26,14 @@ struct ShadeDraw {
     transmission: f32,
     // 1 where alpha is the share that is there.
     blends: f32,
+    // Factor on x and y of the normal map's normals.
+    normal_scale: f32,
+    // 1 where there is a normal map.
+    has_normals: f32,
+    // Share of metal.
+    metallic: f32,
+    // Below 0 where all reflection is diffuse.
+    roughness: f32,
 }
 
 // A point that the camera sees.
@@ -32,6 +44,8 @@ struct Surface {
     normal: vec3f,
     // The triangle's own normal on the seen side.
     facet: vec3f,
+    // Direction about which light is asked for: the normal that a map says, or the axis of a reflection.
+    towards: vec3f,
     draw: u32,
     front: bool,
     // Lightmap coordinates in texels of the side's block.
@@ -48,6 +62,10 @@ struct Surface {
 @group(3) @binding(3) var emissive_sampler: sampler;
 @group(3) @binding(4) var transmission: texture_2d<f32>;
 @group(3) @binding(5) var transmission_sampler: sampler;
+@group(3) @binding(6) var normals: texture_2d<f32>;
+@group(3) @binding(7) var normals_sampler: sampler;
+@group(3) @binding(8) var metallic_roughness: texture_2d<f32>;
+@group(3) @binding(9) var metallic_roughness_sampler: sampler;
 
 const PI = 3.14159265358979;
 // Pixels by which shadows, and sides of edges, are looked up nearer to the eye.
@@ -92,9 +110,13 @@ fn mapped(row0: vec4f, row1: vec4f, uv: vec2f) -> vec2f {
 // point behind, as a floor's at a wall's foot.
 fn before(position: vec3f) -> vec3f {
     let clip = view.clip_from_world * vec4f(position, 1.0);
+    return position - ray_to(clip) * (BEFORE_PIXELS * view.ray_per_y.w * clip.w);
+}
+
+// World direction of the view through a point in clip space.
+fn ray_to(clip: vec4f) -> vec3f {
     let ndc = clip.xy / clip.w;
-    let ray = view.ray.xyz + view.ray_per_x.xyz * ndc.x + view.ray_per_y.xyz * ndc.y;
-    return position - ray * (BEFORE_PIXELS * view.ray_per_y.w * clip.w);
+    return view.ray.xyz + view.ray_per_x.xyz * ndc.x + view.ray_per_y.xyz * ndc.y;
 }
 
 // Lightmap coordinates of the point of the surface's plane that is nearest to `before`: it lies on the seen side of a texel's edge too,
@@ -123,25 +145,47 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     let glow = draw.emissive.rgb * textureSample(emissive, emissive_sampler, emissive_uv).rgb;
     let transmission_uv = mapped(draw.transmission_row0, draw.transmission_row1, corner.uv);
     let passing = draw.transmission * textureSample(transmission, transmission_sampler, transmission_uv).a;
+    let normal_uv = mapped(draw.normal_row0, draw.normal_row1, corner.uv);
+    let uv_x = dpdx(normal_uv);
+    let uv_y = dpdy(normal_uv);
+    let bent = 2.0 * textureSample(normals, normals_sampler, normal_uv).xyz - 1.0;
+    let specular_uv = mapped(draw.specular_row0, draw.specular_row1, corner.uv);
+    let rough = textureSample(metallic_roughness, metallic_roughness_sampler, specular_uv);
     let alpha = draw.base_colour.a * corner.colour.a * textureSampleLevel(base_colour, base_sampler, base_uv, 0.0).a;
     if alpha < draw.cutoff {
         discard;
     }
     let side = select(-1.0, 1.0, front);
-    let normal = side * normalize(corner.normal);
+    let unit = normalize(corner.normal);
+    let normal = side * unit;
+    var towards = normal;
+    if draw.has_normals == 1.0 && view.ray.w != 1.0 && view.horizon.w != 1.0 {
+        towards = side * mapped_normal(unit, step_x.position, step_y.position, uv_x, uv_y, draw.normal_scale * bent.xy, bent.z);
+    }
     // dpdx × dpdy points away from or towards the viewer by the adapter's handedness; the normal knows the side.
     let length2 = dot(across, across);
     var facet = select(normal, across * inverseSqrt(max(length2, 1e-38)), length2 > 1e-30);
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
     let texel = corner.lightmap_texel;
-    let surface = Surface(corner.position, normal, facet, draw.index, front, texel, texel_before(corner, step_x, step_y));
+    let lightmap_before = texel_before(corner, step_x, step_y);
+    var surface = Surface(corner.position, normal, facet, towards, draw.index, front, texel, lightmap_before);
     let met = stopped(mix(1.0, colour.a, draw.blends), colour.rgb, passing);
     if view.horizon.w == 1.0 {
         return vec4f(indirect_irradiance(surface), met.share);
     }
     let rho = clamp(met.albedo, vec3f(0.0), vec3f(1.0));
-    let e_dir = seen_irradiance(surface.position, before(surface.position), surface.normal, surface.facet);
-    return vec4f(glow + rho * (1.0 / PI) * (e_dir + indirect_irradiance(surface)), met.share);
+    let roughness = select(draw.roughness * rough.g, -1.0, draw.roughness < 0.0 || view.zenith.w == 1.0);
+    let eye = -normalize(ray_to(view.clip_from_world * vec4f(surface.position, 1.0)));
+    let gloss = gloss_of(rho, draw.metallic * rough.b, roughness, towards, eye);
+    let seen = seen_light(surface, before(surface.position), gloss);
+    // About the normal, then about the axis of the reflection.
+    var gathered = array<vec3f, 2>(vec3f(0.0), vec3f(0.0));
+    for (var lobe = 0u; lobe < select(1u, 2u, gloss.alpha > 0.0); lobe++) {
+        surface.towards = select(towards, gloss.lobe, lobe == 1u);
+        gathered[lobe] = indirect_irradiance(surface);
+    }
+    let diffuse = rho * gloss.diffuse * (1.0 / PI) * (seen.irradiance + gathered[0]);
+    return vec4f(glow + diffuse + seen.reflected + gloss.reflectance * (1.0 / PI) * gathered[1], met.share);
 }
 
 @fragment

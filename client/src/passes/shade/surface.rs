@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3, Vec4};
 use lightkiln_proto::manifest::TextureUse;
 
 use super::ShadeView;
+use super::normals::mapped_normal;
 use crate::raster::ScreenTriangle;
 use crate::scene::{LoadedScene, Vertex};
 
@@ -29,6 +30,8 @@ pub struct Surface {
     pub normal: Vec3,
     /// The triangle's own normal on the seen side.
     pub facet: Vec3,
+    /// Direction about which light is asked for: the normal that a map says, or the axis of a reflection.
+    pub towards: Vec3,
     /// Number of the draw.
     pub draw: u32,
     /// Whether the front is seen.
@@ -47,6 +50,8 @@ pub(super) struct Shaded {
     pub emission: Vec3,
     /// Share of light that it stops.
     pub stopped: f32,
+    /// Metallic and roughness, the latter below 0 where all reflection is diffuse.
+    pub metallic_roughness: [f32; 2],
 }
 
 /// Least square of the sine between two sides, or of a pixel's steps in the shader.
@@ -60,6 +65,13 @@ impl Corners<'_> {
         let weights = [1.0 - barycentric.x - barycentric.y, barycentric.x, barycentric.y];
         let values = self.0.map(of);
         std::array::from_fn(|axis| (0..3).map(|corner| weights[corner] * values[corner][axis]).sum())
+    }
+
+    /// Two sides, each with its change of a texture's coordinates.
+    fn steps(&self, used: &TextureUse) -> [(Vec3, Vec2); 2] {
+        let [a, b, c] =
+            self.0.map(|vertex| (Vec3::from(vertex.position_m), Vec2::from(mapped_uv(used, vertex.uv))));
+        [b, c].map(|(position, uv)| (position - a.0, uv - a.1))
     }
 
     /// Barycentric coordinates of the point of the triangle's plane that is nearest to a point beside it; the same for a sliver.
@@ -93,16 +105,14 @@ pub(super) fn surface_at(
     let step_x = triangle.barycentric_at(x + 1.0, y);
     let step_y = triangle.barycentric_at(x, y + 1.0);
     let material = &scene.manifest.materials[mesh.material as usize];
-    let texel = |used: &Option<TextureUse>| match used {
-        None => Vec4::ONE,
-        Some(used) => {
-            let uv = |at| mapped_uv(used, corners.mix(at, |vertex| vertex.uv));
-            let (uv_here, uv_x, uv_y) = (uv(here), uv(step_x), uv(step_y));
-            let step = |to: [f32; 2]| [to[0] - uv_here[0], to[1] - uv_here[1]];
-            let texture = &scene.textures[used.texture as usize];
-            texture.sample(uv_here, used.wrap, texture.lod(step(uv_x), step(uv_y)))
-        }
+    let sampled = |used: &TextureUse| {
+        let uv = |at| mapped_uv(used, corners.mix(at, |vertex| vertex.uv));
+        let (uv_here, uv_x, uv_y) = (uv(here), uv(step_x), uv(step_y));
+        let step = |to: [f32; 2]| [to[0] - uv_here[0], to[1] - uv_here[1]];
+        let texture = &scene.textures[used.texture as usize];
+        texture.sample(uv_here, used.wrap, texture.lod(step(uv_x), step(uv_y)))
     };
+    let texel = |used: &Option<TextureUse>| used.as_ref().map_or(Vec4::ONE, sampled);
     let colour = Vec4::from(material.base_colour)
         * Vec4::from(corners.mix(here, |vertex| vertex.colour))
         * texel(&material.base_colour_texture);
@@ -114,12 +124,21 @@ pub(super) fn surface_at(
         emissive => Vec3::from(emissive) * scale * texel(&material.emissive_texture).truncate(),
     };
     let side = if triangle.front { 1.0 } else { -1.0 };
-    let normal = side * Vec3::from(corners.mix(here, |vertex| vertex.normal)).normalize_or(Vec3::Y);
+    let unit = Vec3::from(corners.mix(here, |vertex| vertex.normal)).normalize_or(Vec3::Y);
+    let normal = side * unit;
+    let towards = match material.normal_map.as_ref().filter(|_| view.details().normal_maps) {
+        None => normal,
+        Some(map) => {
+            let bent = sampled(&map.texture).truncate() * 2.0 - 1.0;
+            side * mapped_normal(unit, corners.steps(&map.texture), bent.truncate() * map.scale, bent.z)
+        }
+    };
     let position = corners.mix(here, |vertex| vertex.position_m).into();
     let surface = Surface {
         position,
         normal,
         facet: facet(&corners, normal),
+        towards,
         draw,
         front: triangle.front,
         lightmap_texel: corners.mix(here, |vertex| vertex.lightmap_texel),
@@ -133,7 +152,14 @@ pub(super) fn surface_at(
             (met.share, Vec3::from(met.albedo))
         }
     };
-    Shaded { surface, albedo: albedo.clamp(Vec3::ZERO, Vec3::ONE), emission, stopped }
+    let metallic_roughness = match material.specular.as_ref().filter(|_| view.details().specular) {
+        None => [0.0, -1.0],
+        Some(specular) => {
+            let factors = texel(&specular.texture);
+            [specular.metallic * factors.z, specular.roughness * factors.y]
+        }
+    };
+    Shaded { surface, albedo: albedo.clamp(Vec3::ZERO, Vec3::ONE), emission, stopped, metallic_roughness }
 }
 
 /// The triangle's own normal on the side of the shading normal.

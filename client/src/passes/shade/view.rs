@@ -11,17 +11,37 @@ use crate::raster::camera_clip_from_world;
 /// as much aside.
 const BEFORE_PIXELS: f32 = 1.0;
 
+/// Looks of surfaces that pictures show and transport does not know (METHOD.md §2.15).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SurfaceDetails {
+    /// Normal maps are shown.
+    pub normal_maps: bool,
+    /// Surfaces reflect as their metallic and roughness say; without, all reflection is diffuse.
+    pub specular: bool,
+}
+
+impl Default for SurfaceDetails {
+    fn default() -> Self {
+        Self { normal_maps: true, specular: true }
+    }
+}
+
+impl SurfaceDetails {
+    /// What transport knows: pictures of that alone can be held against the path tracer.
+    pub const NONE: Self = Self { normal_maps: false, specular: false };
+}
+
 /// Camera and sky of a picture; twin of `ShadeView` in `view.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ShadeView {
     /// Columns of the projection.
     pub clip_from_world: [[f32; 4]; 4],
-    /// Radiance straight up.
+    /// Radiance straight up; then 1 where specular reflection is left out.
     pub zenith: [f32; 4],
     /// Radiance at the horizon; then 1 where surfaces show irradiance in place of radiance.
     pub horizon: [f32; 4],
-    /// World direction through the picture's middle.
+    /// World direction through the picture's middle; then 1 where normal maps are left out.
     pub ray: [f32; 4],
     /// Its change per unit of ndc x.
     pub ray_per_x: [f32; 4],
@@ -66,6 +86,20 @@ impl ShadeView {
         self
     }
 
+    /// The view with these details of surfaces.
+    #[must_use]
+    pub fn with_details(mut self, details: SurfaceDetails) -> Self {
+        let left_out = |shown: bool| f32::from(u8::from(!shown));
+        (self.ray[3], self.zenith[3]) = (left_out(details.normal_maps), left_out(details.specular));
+        self
+    }
+
+    /// Details of surfaces that it shows; none over irradiance.
+    pub(super) fn details(&self) -> SurfaceDetails {
+        let is_shown = |left_out: f32| left_out != 1.0 && !self.shows_irradiance();
+        SurfaceDetails { normal_maps: is_shown(self.ray[3]), specular: is_shown(self.zenith[3]) }
+    }
+
     /// Surfaces show irradiance in place of radiance.
     pub(super) fn shows_irradiance(&self) -> bool {
         self.horizon[3] == 1.0
@@ -81,6 +115,12 @@ impl ShadeView {
         let clip = self.projection() * position.extend(1.0);
         let ray = self.ray_through(clip.x / clip.w, clip.y / clip.w);
         position - ray * (BEFORE_PIXELS * self.ray_per_y[3] * clip.w)
+    }
+
+    /// Unit vector from a point that is seen towards the eye.
+    pub(super) fn towards_eye(&self, position: Vec3) -> Vec3 {
+        let clip = self.projection() * position.extend(1.0);
+        -self.ray_through(clip.x / clip.w, clip.y / clip.w).normalize_or(Vec3::NEG_Z)
     }
 
     /// World direction through a point of the picture in ndc, of length 1 along the view.

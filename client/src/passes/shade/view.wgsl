@@ -3,10 +3,11 @@
 
 struct ShadeView {
     clip_from_world: mat4x4f,
-    // Radiance straight up and at the horizon; then 1 where surfaces show irradiance in place of radiance.
+    // Radiance straight up, then 1 where specular reflection is left out; at the horizon, then 1 where surfaces show irradiance in place
+    // of radiance.
     zenith: vec4f,
     horizon: vec4f,
-    // World direction through the picture's middle, and its change per unit of ndc x and y.
+    // World direction through the picture's middle, then 1 where normal maps are left out; its change per unit of ndc x and y.
     ray: vec4f,
     ray_per_x: vec4f,
     // w: side of a pixel in metres where clip w is 1.

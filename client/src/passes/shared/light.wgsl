@@ -184,20 +184,3 @@ fn direct_irradiance(position: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
     }
     return sum;
 }
-
-// As direct_irradiance, of a point that is seen: by cascades where there are some. Shadows are those of `before`, a point
-// a little nearer to the eye.
-fn seen_irradiance(position: vec3f, before: vec3f, normal: vec3f, facet: vec3f) -> vec3f {
-    var sum = vec3f(0.0);
-    for (var index = 0u; index < light_count.count; index++) {
-        if lights[index].shape == RECT {
-            sum += rect_irradiance(lights[index], position, before, normal, facet).rgb;
-            continue;
-        }
-        let arriving = unshadowed(lights[index], position, normal);
-        if max(arriving.x, max(arriving.y, arriving.z)) > 0.0 {
-            sum += arriving * share_seen(lights[index], before, facet);
-        }
-    }
-    return sum;
-}
