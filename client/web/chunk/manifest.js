@@ -7,7 +7,8 @@
 //   lightmap: {texelM, pages: [[width, height]], blocks: [{key: BigInt, name, size: [w, h], page, origin: [x, y]}]} or null,
 //   materials: [{name, baseColour: Float32Array(4), baseColourTexture: USE or null, emissive: Float32Array(3),
 //     emissiveTexture: USE or null, emitter: index or null, alphaCutoff: number or null,
-//     glass: {blends, transmission, transmissionTexture: USE or null} or null, doubleSided}],
+//     glass: {blends, transmission, transmissionTexture: USE or null} or null, normalMap: {texture: USE, scale} or null,
+//     specular: {metallic, roughness, texture: USE or null} or null, doubleSided}],
 //     where USE is {texture, wrap: ["repeat", "clamp" or "mirror", …], transform: [Float32Array(3), Float32Array(3)] or null}
 //   emitters: [{name, areaM2}],
 //   lights: [{name, kind: {type: "point", positionM, rangeM} | {type: "spot", positionM, direction, innerRad, outerRad, rangeM}
@@ -93,8 +94,25 @@ const material = object({
   emitter: optional(whole(U16_MAX)),
   alpha_cutoff: optional(f32),
   glass: optional(object({ blends: flag, transmission: f32, transmission_texture: optional(textureUse) })),
+  normal_map: optional(object({ texture: textureUse, scale: f32 })),
+  specular: optional(object({ metallic: f32, roughness: f32, texture: optional(textureUse) })),
   double_sided: flag,
 });
+
+/** Textures of a material that it reads as colours. */
+export function colourTextures({ baseColourTexture, emissiveTexture, glass }) {
+  return [baseColourTexture, emissiveTexture, glass?.transmissionTexture].filter((used) => used);
+}
+
+/** Textures of a material that it reads as linear numbers. */
+export function numberTextures({ normalMap, specular }) {
+  return [normalMap?.texture, specular?.texture].filter((used) => used);
+}
+
+/** All textures of a material. */
+export function texturesOf(material) {
+  return [...colourTextures(material), ...numberTextures(material)];
+}
 
 const light = object({
   name: text,

@@ -32,7 +32,7 @@ import { ShadowPass } from "./shadow.js";
 import { measuredSnap } from "./snap.js";
 import { Stage } from "./stage.js";
 import { TONES, TonePass, automaticExposure } from "./tone.js";
-import { eyeOf, lodEyeOf, shadeView } from "./view.js";
+import { ALL_DETAILS, eyeOf, lodEyeOf, shadeView } from "./view.js";
 
 /** Relative change of E_ind by a bounce below which light has settled. */
 export const CHANGE_MAX = 1e-3;
@@ -58,6 +58,7 @@ export class Frame {
   #film = new Film();
   // Bounces since the last change, and the changes by them that were heard of.
   #bounces = new Bounces();
+  #details = ALL_DETAILS;
   // Levels of detail, and the detail of each cluster for the eye; null for all of it.
   #lod = null;
   #lodPlan = null;
@@ -104,8 +105,7 @@ export class Frame {
     this.tone = await TonePass.create(gpu, format ?? navigator.gpu.getPreferredCanvasFormat());
     this.#show(await this.#staged(this.objects));
     // Factor on radiance before the tone curve, and the curve.
-    this.exposure = 1;
-    this.curve = "filmic";
+    [this.exposure, this.curve] = [1, "filmic"];
     const seen = camera ?? cameraOf(manifest);
     if (seen === null) throw new Error("the bake has no camera: give one");
     this.#plan = this.#planned([], null);
@@ -238,14 +238,16 @@ export class Frame {
     this.shade.setLooks(this.#tints, this.#emitterScale);
   }
 
+  /** Shows normal maps and specular reflection, `{normalMaps, specular}`, or leaves them out. */
+  setDetails(details) {
+    this.#details = { ...ALL_DETAILS, ...details };
+    this.#film.clear();
+  }
+
   /** Sets the camera. */
   setCamera(camera) {
-    const own = {
-      ...camera,
-      eyeM: Array.from(camera.eyeM),
-      targetM: Array.from(camera.targetM),
-      up: Array.from(camera.up),
-    };
+    const vectors = ["eyeM", "targetM", "up"].map((name) => [name, Array.from(camera[name])]);
+    const own = { ...camera, ...Object.fromEntries(vectors) };
     // Errs for a camera that sees nothing.
     shadeView(own, this.size, this.boundsM, this.#sky, [0, 0]);
     const plan = this.#planned(this.#casters, eyeOf(own));
@@ -409,7 +411,7 @@ export class Frame {
     const sample = this.#film.next(exposure, curve, jitter !== null);
     this.gpu.submit((encoder) => {
       if (sample < SAMPLES_MAX) {
-        const view = shadeView(this.#camera, this.size, this.boundsM, this.#sky, jitter ?? jitterOf(sample));
+        const view = shadeView(this.#camera, this.size, this.boundsM, this.#sky, jitter ?? jitterOf(sample), this.#details);
         if (this.#stale.pages) this.light.publish(encoder);
         this.#stale.pages = false;
         this.shade.record(encoder, view);

@@ -1,8 +1,9 @@
 // Meshes and textures of a scene on the device, shared by the shadow and the shade pass; twin of client/src/passes/meshes.rs.
 
+import { colourTextures, numberTextures } from "../chunk/manifest.js";
 import { COLOUR, LIGHTMAP_TEXEL, NORMAL, POSITION, UV, VERTEX_NUMBERS } from "../relight/draws.js";
 import { FRAGMENT } from "./gpu.js";
-import { uploadTextures, whiteTexel } from "./textures.js";
+import { NUMBERS, uploadTextures, whiteTexel } from "./textures.js";
 
 const ADDRESS_MODES = { repeat: "repeat", clamp: "clamp-to-edge", mirror: "mirror-repeat" };
 
@@ -35,10 +36,10 @@ export class Meshes {
   #samplers = new Map();
 
   /** Uploads the meshes and textures of a scene. */
-  static async create(gpu, { draws, textures }) {
+  static async create(gpu, { draws, textures, manifest }) {
     const meshes = new Meshes();
     meshes.meshes = draws.map((draw) => uploaded(gpu, draw));
-    meshes.views = await uploadTextures(gpu, textures);
+    meshes.views = await uploadTextures(gpu, channelled(textures, manifest));
     meshes.white = whiteTexel(gpu);
     for (const u of Object.keys(ADDRESS_MODES)) {
       for (const v of Object.keys(ADDRESS_MODES)) {
@@ -49,10 +50,10 @@ export class Meshes {
   }
 
   /** These, and behind them what else a scene has, which is made on `gpu`. */
-  async and(gpu, { draws, textures }) {
+  async and(gpu, { draws, textures, manifest }) {
     const meshes = new Meshes();
     meshes.meshes = [...this.meshes, ...draws.slice(this.meshes.length).map((draw) => uploaded(gpu, draw))];
-    meshes.views = [...this.views, ...(await uploadTextures(gpu, textures.slice(this.views.length)))];
+    meshes.views = [...this.views, ...(await uploadTextures(gpu, channelled(textures, manifest).slice(this.views.length)))];
     [meshes.white, meshes.#samplers] = [this.white, this.#samplers];
     return meshes;
   }
@@ -78,6 +79,17 @@ export class Meshes {
       pass.drawIndexed(mesh.indexCount);
     }
   }
+}
+
+/** Textures, those that materials read as linear numbers being marked so. Errs for one that is read as both. */
+function channelled(textures, { materials }) {
+  const named = (uses) => new Set(materials.flatMap((material) => uses(material).map((used) => used.texture)));
+  const [colours, numbers] = [named(colourTextures), named(numberTextures)];
+  return textures.map((file, index) => {
+    if (!numbers.has(index)) return file;
+    if (colours.has(index)) throw new Error(`texture ${index} is read as colours and as numbers`);
+    return { ...file, channel: NUMBERS };
+  });
 }
 
 function uploaded(gpu, { material, vertices, triangles }) {

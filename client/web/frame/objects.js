@@ -1,6 +1,7 @@
 // Objects that move: meshes beside a bake's, drawn and lit by lights, that stand in all shadow maps; none of their light is baked. Twin
 // of client/src/scene/objects.rs.
 
+import { texturesOf } from "../chunk/manifest.js";
 import { interleaved, NORMAL, POSITION, VERTEX_NUMBERS, problemOf } from "../relight/draws.js";
 import { NO_BLOCK } from "../relight/layout.js";
 import { fround } from "../relight/numbers.js";
@@ -44,7 +45,7 @@ export class ObjectSet {
     const { draws, textures, manifest } = this.scene;
     const { name, materials } = object;
     for (const material of materials) {
-      const bad = usesOf(material).find(({ texture }) => !(texture < object.textures.length));
+      const bad = texturesOf(material).find(({ texture }) => !(texture < object.textures.length));
       if (bad) throw refused(name, `has a material '${material.name}' that names texture ${bad.texture} of ${object.textures.length}`);
     }
     const placed = { object, stance, firstDraw: draws.length, firstMaterial: manifest.materials.length, sizes: null, local: null };
@@ -209,21 +210,18 @@ function stanceOf(given, index) {
   throw new Error(`stance ${index + 1} has a number that is not finite, or no scale above 0, or no number of an animation`);
 }
 
-/** Textures that a material names. */
-function usesOf({ baseColourTexture, emissiveTexture, glass }) {
-  return [baseColourTexture, emissiveTexture, glass?.transmissionTexture].filter((used) => used);
-}
-
 /** A material whose textures come `first` later, and which is no emitter of the bake's. */
 function shifted(material, first) {
   const later = (used) => used && { ...used, texture: used.texture + first };
-  const { baseColourTexture, emissiveTexture, glass } = material;
+  const { baseColourTexture, emissiveTexture, glass, normalMap, specular } = material;
   return {
     ...material,
     emitter: null,
     baseColourTexture: later(baseColourTexture),
     emissiveTexture: later(emissiveTexture),
     glass: glass && { ...glass, transmissionTexture: later(glass.transmissionTexture) },
+    normalMap: normalMap && { ...normalMap, texture: later(normalMap.texture) },
+    specular: specular && { ...specular, texture: later(specular.texture) },
   };
 }
 

@@ -8,9 +8,11 @@ import { NEARER_WINS, TESTED_ALONE, clearedDepth } from "./targets.js";
 import { VIEW_NUMBERS } from "./view.js";
 
 // Bytes of a draw's look as the shader reads it.
-const LOOK_BYTES = 144;
+const LOOK_BYTES = 224;
 /** Feature of devices that blend 32-bit radiance; on others glass is drawn over 16-bit radiance. */
 export const BLENDABLE = "float32-blendable";
+// Textures of a material, each with its sampler.
+const MATERIAL_TEXTURES = 5;
 // Behind everything, without touching the depth.
 const BEHIND = { ...NEARER_WINS, depthWriteEnabled: false, depthCompare: "always" };
 // Glass, whose alpha is the share that it stops, over what is behind it.
@@ -55,7 +57,7 @@ export class ShadePass {
         { visibility: FRAGMENT, buffer: { type: "read-only-storage" } },
       ]),
       draws: gpu.bindLayout([looks]),
-      material: gpu.bindLayout([...SAMPLED, ...SAMPLED, ...SAMPLED]),
+      material: gpu.bindLayout(Array(MATERIAL_TEXTURES).fill(SAMPLED).flat()),
     };
     this.#bind(layouts, atlas);
     const all = [shadow.lightLayout, layouts.view, layouts.draws, layouts.material];
@@ -73,9 +75,8 @@ export class ShadePass {
     this.setPages(atlas);
     this.looks = gpu.uniforms("draws", LOOK_BYTES, draws.length);
     this.draws = gpu.bind(layouts.draws, [{ buffer: this.looks.buffer, size: LOOK_BYTES }]);
-    this.materials = manifest.materials.map(({ baseColourTexture, emissiveTexture, glass }) => {
-      const used = [baseColourTexture, emissiveTexture, glass?.transmissionTexture];
-      return gpu.bind(layouts.material, used.flatMap((texture) => meshes.texture(texture)));
+    this.materials = manifest.materials.map((material) => {
+      return gpu.bind(layouts.material, boundTextures(material).flatMap((texture) => meshes.texture(texture)));
     });
     this.paneCorners = gpu.buffer("corners of glass", 12 * this.glass.panes.length, GPUBufferUsage.INDEX);
   }
@@ -202,14 +203,20 @@ export class ShadePass {
   }
 }
 
+/** Textures of a material in the order of their bindings. */
+function boundTextures({ baseColourTexture, emissiveTexture, glass, normalMap, specular }) {
+  return [baseColourTexture, emissiveTexture, glass?.transmissionTexture, normalMap?.texture, specular?.texture];
+}
+
 /** Look of a draw as the shader reads it. */
 function lookOf(material, index, emitterScale) {
-  const { baseColour, emissive, emitter, glass, alphaCutoff } = material;
+  const { baseColour, emissive, emitter, glass, normalMap, specular, alphaCutoff } = material;
   const scale = emitterScale[emitter] ?? 1;
-  const rows = [material.baseColourTexture, material.emissiveTexture, glass?.transmissionTexture].flatMap(uvRows);
+  const rows = boundTextures(material).flatMap(uvRows);
   const look = new Float32Array(LOOK_BYTES / 4);
   look.set([...baseColour, ...emissive.map((channel) => channel * scale), 0, ...rows]);
-  look.set([alphaCutoff ?? -1, 0, glass?.transmission ?? 0, glass?.blends ? 1 : 0], 32);
-  new Uint32Array(look.buffer)[33] = index;
+  const details = [normalMap?.scale ?? 0, normalMap ? 1 : 0, specular?.metallic ?? 0, specular?.roughness ?? -1];
+  look.set([alphaCutoff ?? -1, 0, glass?.transmission ?? 0, glass?.blends ? 1 : 0, ...details], 48);
+  new Uint32Array(look.buffer)[49] = index;
   return look;
 }

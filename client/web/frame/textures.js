@@ -1,9 +1,12 @@
-// Textures of a scene on the device: image files, decoded by the browser, with mip levels averaged in linear light.
+// Textures of a scene on the device: image files, decoded by the browser, with mip levels averaged in linear light, or over numbers where
+// they hold such.
 
 // Format whose reads are linear.
 const FORMAT = "rgba8unorm-srgb";
 // Format whose reads are the numbers of a file.
 const AS_STORED = "rgba8unorm";
+/** Channel of files of linear numbers. */
+export const NUMBERS = "numbers";
 
 /** A white texel, for what has no texture. */
 export function whiteTexel(gpu) {
@@ -14,26 +17,29 @@ export function whiteTexel(gpu) {
 
 /**
  * Uploads image files, `{mediaType, bytes}`, with all mip levels. Messages call one by its `name`, else by its number; of one with
- * `channel` "red" that channel alone is read, as alpha.
+ * `channel` "red" that channel alone is read, as alpha; one with `NUMBERS` is of linear numbers.
  */
 export async function uploadTextures(gpu, files) {
   if (files.length === 0) return [];
-  const [halve, redAsAlpha] = await Promise.all([pipelineOf(gpu, "halve"), pipelineOf(gpu, "red_as_alpha")]);
+  const made = [pipelineOf(gpu, "halve"), pipelineOf(gpu, "red_as_alpha"), pipelineOf(gpu, "halve", AS_STORED)];
+  const [halve, redAsAlpha, halveNumbers] = await Promise.all(made);
   const views = [];
   for (const [index, { mediaType, bytes, name = `texture ${index}`, channel = "colour" }] of files.entries()) {
     const picture = await decoded(mediaType, bytes, name);
-    views.push(upload(gpu, picture, halve, channel === "red" ? redAsAlpha : null));
+    const ofNumbers = channel === NUMBERS;
+    const [format, coarser] = ofNumbers ? [AS_STORED, halveNumbers] : [FORMAT, halve];
+    views.push(upload(gpu, picture, { format, coarser, drawnBy: channel === "red" ? redAsAlpha : null }));
   }
   return views;
 }
 
-function pipelineOf(gpu, entryPoint) {
+function pipelineOf(gpu, entryPoint, format = FORMAT) {
   const module = gpu.module("halve");
   return gpu.render({
     label: entryPoint,
     layout: "auto",
     vertex: { module, entryPoint: "corner" },
-    fragment: { module, entryPoint, targets: [{ format: FORMAT }] },
+    fragment: { module, entryPoint, targets: [{ format }] },
     primitive: { topology: "triangle-list" },
   });
 }
@@ -49,14 +55,14 @@ async function decoded(mediaType, bytes, name) {
 }
 
 /** A picture with its mip levels, of which the finest is as it is, or drawn by a pipeline: a canvas loses colours where alpha is 0. */
-function upload(gpu, picture, halve, drawnBy) {
+function upload(gpu, picture, { format, coarser: halve, drawnBy }) {
   const { width, height } = picture;
   const longest = gpu.device.limits.maxTextureDimension2D;
   if (Math.max(width, height) > longest) {
     throw new Error(`a texture is ${width} × ${height}, this device takes ${longest}`);
   }
   const levels = 1 + Math.floor(Math.log2(Math.max(width, height)));
-  const uploaded = texture(gpu, width, height, levels);
+  const uploaded = texture(gpu, width, height, levels, format);
   const level = (baseMipLevel) => uploaded.createView({ baseMipLevel, mipLevelCount: 1 });
   const file = drawnBy === null ? uploaded : texture(gpu, width, height, 1, AS_STORED);
   gpu.device.queue.copyExternalImageToTexture({ source: picture }, { texture: file }, [width, height]);

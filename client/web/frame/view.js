@@ -34,8 +34,11 @@ function clipFromWorld(camera, size, boundsM) {
   return product(perspective(tan * aspect, tan, 1e-4 * diagonal), matrix);
 }
 
+/** Details of surfaces that transport does not know, all of which are shown. */
+export const ALL_DETAILS = Object.freeze({ normalMaps: true, specular: true });
+
 /** A view whose samples lie `jitter` pixels (right, down) from the pixels' centres: its matrix, and its numbers for the shader. */
-export function shadeView(camera, size, boundsM, sky, jitter) {
+export function shadeView(camera, size, boundsM, sky, jitter, details = ALL_DETAILS) {
   const steady = clipFromWorld(camera, size, boundsM);
   const shift = [(-2 * jitter[0]) / size[0], (2 * jitter[1]) / size[1]];
   // ndc shifts by a constant: clip.xy += shift · clip.w.
@@ -43,7 +46,8 @@ export function shadeView(camera, size, boundsM, sky, jitter) {
   // Per ndc, the second row grows by the reciprocal of half the picture's height in metres.
   const pixelAtUnitW = 2 / (Math.hypot(steady[1], steady[5], steady[9]) * size[1]);
   const [ray, perX, perY] = rays(camera, size, shift);
-  const numbers = [matrix, sky.zenith, 0, sky.horizon, 0, ray, 0, perX, 0, perY, pixelAtUnitW].flat();
+  const leftOut = [details.specular, details.normalMaps].map((isShown) => (isShown ? 0 : 1));
+  const numbers = [matrix, sky.zenith, leftOut[0], sky.horizon, 0, ray, leftOut[1], perX, 0, perY, pixelAtUnitW].flat();
   return { matrix, numbers: Float32Array.from(numbers) };
 }
 

@@ -7,6 +7,9 @@ export class ObjectError extends Error {
   }
 }
 
+/** More of something than is read. */
+export class LimitError extends ObjectError {}
+
 /** A fault of a file that another export of it mends. */
 export function broken(place, problem) {
   return new ObjectError(`${place}: ${problem}; export the file again`);

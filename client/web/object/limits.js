@@ -1,7 +1,7 @@
 // Highest costs of reading an object: every size that a file can state is compared with one of these first. Twin of
 // worker/src/scene/limits.rs, with less room for meshes: a page moves every vertex itself.
 
-import { ObjectError } from "./error.js";
+import { LimitError } from "./error.js";
 
 const SPLIT = "split or simplify the object";
 const SMALLER_TEXTURES = "make its textures smaller";
@@ -39,7 +39,7 @@ const DECODED_MOST = 2 ** 28;
 
 /** Compares one stated size with its limit. */
 export function within({ limit, what, remedy }, found) {
-  if (found > limit) throw new ObjectError(`too many ${what}: ${found} (at most ${limit}); ${remedy}`);
+  if (found > limit) throw new LimitError(`too many ${what}: ${found} (at most ${limit}); ${remedy}`);
 }
 
 /** Limit of what the meshes of a file of so many bytes decompress to. */

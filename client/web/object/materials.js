@@ -1,15 +1,17 @@
-// Materials of an object as manifests state them: base colour, emission, mask, glass and sides; twin of worker/src/scene/materials.rs
-// and worker/src/assemble/materials.rs.
+// Materials of an object as manifests state them: base colour, emission, mask, glass, normal map, specular reflection and sides; twin of
+// worker/src/scene/materials.rs, worker/src/scene/details.rs and worker/src/assemble/materials.rs.
 
 import { fround } from "../relight/numbers.js";
 import { number, numbers, part } from "./document.js";
-import { ObjectError } from "./error.js";
+import { LimitError, ObjectError } from "./error.js";
 import { imageOf } from "./image.js";
 
 // Cutoff of masks whose own is no number: glTF's default.
 const CUTOFF = 0.5;
 // Highest emission, in W·m⁻²·sr⁻¹.
 const EMISSION_MAX = 1e12;
+// Largest factor on a normal map's x and y.
+const SCALE_MAX = 1e3;
 const WRAPS = { __proto__: null, 33071: "clamp", 33648: "mirror" };
 const IDENTITY = [[1, 0, 0], [0, 1, 0]];
 
@@ -24,6 +26,8 @@ export function plainMaterial(parts = {}) {
     emitter: null,
     alphaCutoff: null,
     glass: null,
+    normalMap: null,
+    specular: null,
     doubleSided: false,
     ...parts,
   };
@@ -38,7 +42,10 @@ export class MaterialTable {
   constructor(document, budgets, warn) {
     Object.assign(this, { document, budgets, warn, images: [] });
     // As read, with textures each under their own transform.
-    this.read = document.list("material").map((stated, index) => this.#material(stated, index));
+    const all = document.list("material");
+    this.read = all.map((stated, index) => this.#material(stated, index));
+    // Behind all colours, whose images come first.
+    all.forEach((stated, index) => this.#details(this.read[index], stated, index));
   }
 
   /** Index of the material that a primitive names, or of glTF's default one. */
@@ -55,12 +62,15 @@ export class MaterialTable {
   get materials() {
     return this.read.map((material) => {
       const beside = (used) => besideBase(material, used);
-      const { glass, baseColourTexture: base } = material;
+      const { glass, normalMap, specular, baseColourTexture: base } = material;
+      const normals = normalMap && beside(normalMap.texture);
       return {
         ...material,
         baseColourTexture: base && useOf(base, null),
         emissiveTexture: beside(material.emissiveTexture),
         glass: glass && { ...glass, transmissionTexture: beside(glass.transmissionTexture) },
+        normalMap: normals && { ...normalMap, texture: normals },
+        specular: specular && { ...specular, texture: beside(specular.texture) },
       };
     });
   }
@@ -109,6 +119,41 @@ export class MaterialTable {
     return blends || transmission > 0 ? { blends, transmission, transmissionTexture } : null;
   }
 
+  /** Normal map, and reflection by metallic and roughness: what pictures alone show. */
+  #details(material, stated, index) {
+    const place = () => this.document.place("material", index);
+    const normals = part(stated, "normalTexture", place);
+    const texture = normals && this.#numbersOf(material, normals, place);
+    if (texture) {
+      const scale = number(normals, "scale", place, 1);
+      const isScale = Math.abs(scale) <= SCALE_MAX;
+      if (!isScale) this.warn(`${place()} scales its normal map by more than ${SCALE_MAX}; 1 is taken`);
+      material.normalMap = { texture, scale: isScale ? scale : 1 };
+    }
+    material.specular = this.#specular(material, stated, place);
+  }
+
+  /** Null where a surface reflects as a diffuse one does: fully rough without a texture; and of glass and of the old kind. */
+  #specular(material, stated, place) {
+    const pbr = part(stated, "pbrMetallicRoughness", place) ?? {};
+    const isOld = part(part(stated, "extensions", place) ?? {}, "KHR_materials_pbrSpecularGlossiness", place) !== null;
+    const [metallic, roughness] = ["metallicFactor", "roughnessFactor"].map((factor) => number(pbr, factor, place, 1));
+    const named = part(pbr, "metallicRoughnessTexture", place);
+    if (isOld || material.glass !== null || (named === null && roughness >= 1)) return null;
+    const texture = named && this.#numbersOf(material, named, place);
+    const specular = { metallic: usable(metallic, 1), roughness: usable(roughness, 1), texture };
+    return texture !== null || specular.roughness < 1 ? specular : null;
+  }
+
+  /** A texture of linear numbers on the UV set that meshes of the material are drawn with; null, with a warning, on another. */
+  #numbersOf(material, info, place) {
+    const texture = this.#texture(info, "numbers", place);
+    const drawn = firstTexture(material);
+    if (texture === null || drawn === null || drawn.uvSet === texture.uvSet) return texture;
+    this.warn(`${place()} has a normal map or a metallic-roughness texture on another UV set than its colour; it is left out`);
+    return null;
+  }
+
   /** A texture and how it is read; null, with a warning, where its factor alone is used. */
   #texture(info, channel, place) {
     if (info === null) return null;
@@ -135,10 +180,21 @@ export class MaterialTable {
   #slot(index, channel) {
     const key = `${index} ${channel}`;
     if (!this.#slots.has(key)) {
-      const image = imageOf(this.document, this.budgets, index, this.warn);
+      const image = channel === "numbers" ? this.#detailImage(index) : imageOf(this.document, this.budgets, index, this.warn);
       this.#slots.set(key, image && this.images.push({ ...image, channel }) - 1);
     }
     return this.#slots.get(key);
+  }
+
+  /** An image for pictures alone; null, with a warning, where there is no room for its pixels. */
+  #detailImage(index) {
+    try {
+      return imageOf(this.document, this.budgets, index, this.warn);
+    } catch (error) {
+      if (!(error instanceof LimitError)) throw error;
+      this.warn(`a normal map or a metallic-roughness texture is left out: ${error.message}`);
+      return null;
+    }
   }
 
   /** KHR_texture_transform as a 2×3 map: `uv' = T · R · S · uv`, turned counter-clockwise as seen with v downwards. */
@@ -167,8 +223,9 @@ function cutoffOf(stated, place) {
 }
 
 /** The texture whose UV set a mesh is drawn with; null without one. */
-function firstTexture({ baseColourTexture, emissiveTexture, glass }) {
-  return baseColourTexture ?? emissiveTexture ?? glass?.transmissionTexture ?? null;
+function firstTexture({ baseColourTexture, emissiveTexture, glass, normalMap, specular }) {
+  const ofColours = baseColourTexture ?? emissiveTexture ?? glass?.transmissionTexture;
+  return ofColours ?? normalMap?.texture ?? specular?.texture ?? null;
 }
 
 /** A texture relative to a mesh's UV, which has the base colour's transform folded in; null where its UV set is another. */

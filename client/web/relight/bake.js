@@ -1,6 +1,7 @@
 // A bake in memory: its scene, and its light in the flat tables that the passes bind; twin of client/src/scene and
 // client/src/kinds/prt.
 
+import { texturesOf } from "../chunk/manifest.js";
 import { ClusterTable, EmitterTable } from "./clusters.js";
 import { joinDraws } from "./draws.js";
 import { Inconsistent } from "./inconsistent.js";
@@ -59,9 +60,8 @@ export function assembleLight(scene, clusters, patchSet, isWhole = true) {
 
 function checkTextures({ materials }, count) {
   materials.forEach((material, index) => {
-    const { baseColourTexture, emissiveTexture, glass } = material;
-    for (const used of [baseColourTexture, emissiveTexture, glass?.transmissionTexture]) {
-      if (used && used.texture >= count) {
+    for (const used of texturesOf(material)) {
+      if (used.texture >= count) {
         throw new Inconsistent(`material ${index}`, `names texture ${used.texture} of ${count}`);
       }
     }
