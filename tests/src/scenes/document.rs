@@ -137,6 +137,8 @@ pub(super) struct MaterialEntry {
     pub name: String,
     pub pbr_metallic_roughness: PbrEntry,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub normal_texture: Option<TextureRef>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub emissive_factor: Option<[f32; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alpha_mode: Option<&'static str>,

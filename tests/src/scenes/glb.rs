@@ -26,6 +26,9 @@ pub struct Surface {
     emission: [f32; 3],
     double_sided: bool,
     texture: Option<TextureId>,
+    normal_map: Option<TextureId>,
+    metallic: f32,
+    roughness: f32,
     /// Share that is there, of a surface that blends.
     alpha: Option<f32>,
     transmission: f32,
@@ -40,6 +43,9 @@ impl Surface {
             emission: [0.0; 3],
             double_sided: false,
             texture: None,
+            normal_map: None,
+            metallic: 0.0,
+            roughness: 1.0,
             alpha: None,
             transmission: 0.0,
         }
@@ -68,6 +74,16 @@ impl Surface {
     /// Multiplies the albedo by an image, read at the mesh's texture coordinates.
     pub fn textured(self, texture: TextureId) -> Self {
         Self { texture: Some(texture), ..self }
+    }
+
+    /// Bends its normals by an image, read at the mesh's texture coordinates.
+    pub fn bent(self, normal_map: TextureId) -> Self {
+        Self { normal_map: Some(normal_map), ..self }
+    }
+
+    /// Reflects as microfacets of that share of metal and that roughness.
+    pub fn reflecting(self, metallic: f32, roughness: f32) -> Self {
+        Self { metallic, roughness, ..self }
     }
 }
 
@@ -152,9 +168,10 @@ impl Glb {
             pbr_metallic_roughness: PbrEntry {
                 base_color_factor: [r, g, b, surface.alpha.unwrap_or(1.0)],
                 base_color_texture: surface.texture.map(|texture| TextureRef { index: texture.0 }),
-                metallic_factor: 0.0,
-                roughness_factor: 1.0,
+                metallic_factor: surface.metallic,
+                roughness_factor: surface.roughness,
             },
+            normal_texture: surface.normal_map.map(|texture| TextureRef { index: texture.0 }),
             emissive_factor: (peak > 0.0).then(|| surface.emission.map(|e| e / strength)),
             alpha_mode: surface.alpha.map(|_| "BLEND"),
             double_sided: surface.double_sided,
@@ -174,8 +191,9 @@ impl Glb {
         assert!(!mesh.triangles.is_empty(), "mesh {name} has no triangles");
         assert_eq!(mesh.positions_m.len(), mesh.normals.len(), "mesh {name}: a normal per vertex");
         assert_eq!(mesh.positions_m.len(), mesh.uvs.len(), "mesh {name}: a texture coordinate per vertex");
+        let look = &self.document.materials[material.0 as usize];
         let textured =
-            self.document.materials[material.0 as usize].pbr_metallic_roughness.base_color_texture.is_some();
+            look.pbr_metallic_roughness.base_color_texture.is_some() || look.normal_texture.is_some();
         let normals: Vec<[f32; 3]> = mesh.normals.iter().map(Vec3::to_array).collect();
         let positions_m: Vec<[f32; 3]> = mesh.positions_m.iter().map(Vec3::to_array).collect();
         let low = mesh.positions_m.iter().copied().fold(Vec3::INFINITY, Vec3::min);

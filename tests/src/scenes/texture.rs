@@ -3,6 +3,7 @@
 //! Noise is an integer hash of texel coordinates. The encoder's fast mode is used because its bytes do not depend on
 //! which deflate library a build has chosen.
 
+use glam::Vec3;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
@@ -49,6 +50,12 @@ pub fn striped_cloth(size_px: u32, ground: Srgb, stripe: Srgb, stripes: u32, alo
         let weave = if (x + y).is_multiple_of(2) { 1.0 } else { 0.96 };
         shaded(if border || band { stripe } else { ground }, weave)
     })
+}
+
+/// A normal map of one normal: x along the texture's u, y towards its upper edge.
+pub fn slope(normal: Vec3) -> Vec<u8> {
+    let codes = normal.to_array().map(|part| (127.5 + 127.5 * part).round() as u8);
+    encode(8, |_, _| codes)
 }
 
 fn shaded(colour: Srgb, factor: f32) -> Srgb {

@@ -23,6 +23,7 @@ mod rims;
 mod scale;
 mod seams;
 mod setup;
+mod slopes;
 mod smallest;
 mod stripes;
 mod transforms;

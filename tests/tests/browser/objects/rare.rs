@@ -1,5 +1,5 @@
 //! An object of the rarer parts of glTF: buffers and an image in data URIs, interleaved and sparse accessors, fans, indexed strips,
-//! quantised and morphed normals, mirrored nodes, glass by a texture, steps and splines.
+//! quantised and morphed normals, mirrored nodes, glass by a texture, a normal map, rough metal, steps and splines.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -23,13 +23,21 @@ pub fn rare(has_images: bool) -> Document {
         let colours = uri(&png(|x, y| [36 * x, 255 - 30 * y, 90, 255]));
         // Of transmission red alone counts, also where nothing else is to be seen of a file. Its padding is left out.
         let reds = uri(&png(|x, _| [36 * x, 0, 0, 0]));
-        rare.json["images"] = json!([{ "uri": colours }, { "uri": reds.trim_end_matches('=') }]);
-        rare.json["textures"] = json!([{ "source": 0 }, { "source": 1 }]);
+        let numbers = uri(&png(|x, y| [100 + 8 * x, 156 - 8 * y, 240 - 10 * x, 255]));
+        let all = [colours.as_str(), reds.trim_end_matches('='), &numbers];
+        rare.json["images"] = json!(all.map(|uri| json!({ "uri": uri })));
+        rare.json["textures"] = json!([{ "source": 0 }, { "source": 1 }, { "source": 2 }]);
     }
     let texture = |index: usize| has_images.then(|| json!({ "index": index }));
+    let moved = json!({ "KHR_texture_transform": { "scale": [2.0, 1.5], "rotation": 0.4 } });
+    let bumps = has_images.then(|| json!({ "index": 2, "scale": 0.8, "extensions": moved }));
+    let plate_of = json!({
+        "baseColorTexture": texture(0), "metallicRoughnessTexture": texture(2),
+        "metallicFactor": 0.7, "roughnessFactor": 0.8,
+    });
     let transmission = json!({ "transmissionFactor": 0.9, "transmissionTexture": texture(1) });
     rare.json["materials"] = json!([
-        { "name": "plate", "doubleSided": true, "pbrMetallicRoughness": { "baseColorTexture": texture(0) } },
+        { "name": "plate", "doubleSided": true, "normalTexture": bumps, "pbrMetallicRoughness": plate_of },
         { "name": "ribbon", "doubleSided": true, "pbrMetallicRoughness": { "baseColorFactor": [0.8, 0.3, 0.2, 1.0] } },
         {
             "name": "pane", "doubleSided": true,
