@@ -27,7 +27,7 @@ impl Default for SurfaceDetails {
 }
 
 impl SurfaceDetails {
-    /// What transport knows: pictures of that alone can be held against the path tracer.
+    /// None: pictures of the surfaces that light is baked for, which can be held against the path tracer.
     pub const NONE: Self = Self { normal_maps: false, specular: false };
 }
 

@@ -147,6 +147,8 @@ fn manifest() -> serde_json::Value {
             "name": "red", "base_colour": [0.5, 0.1, 0.1, 1.0],
             "base_colour_texture": { "texture": 0, "wrap": ["repeat", "mirror"], "transform": null },
             "emissive": [0.0, 0.0, 0.0], "emissive_texture": null, "emitter": 0, "alpha_cutoff": 0.5,
+            "normal_map": { "texture": { "texture": 1, "wrap": ["clamp", "clamp"], "transform": null }, "scale": 0.5 },
+            "specular": { "metallic": 0.25, "roughness": 0.75, "texture": null },
             "double_sided": true,
         }],
         "emitters": [{ "name": "lamp", "area_m2": 0.5 }],
