@@ -40,6 +40,21 @@ fn lit_view(bake: &LoadedBake) -> View {
     View { samples: 1, ..view }
 }
 
+/// Pipelines of scenes without details hold no part of them.
+#[test]
+fn details_are_compiled_where_materials_have_them() {
+    let of = |bake: &LoadedBake| shade::details_of(&bake.scene.manifest.materials).map(|(_, is_set)| is_set);
+    for bake in bakes() {
+        assert_eq!(of(&bake), [0.0, 0.0]);
+        let mut bake = fixture::detailed(bake);
+        assert_eq!(of(&bake), [1.0, 1.0]);
+        for material in &mut Arc::make_mut(&mut bake.scene).manifest.materials {
+            material.normal_map = None;
+        }
+        assert_eq!(of(&bake), [0.0, 1.0]);
+    }
+}
+
 #[test]
 fn materials_without_details_look_the_same_with_and_without_them() {
     for bake in bakes() {

@@ -18,7 +18,7 @@ use crate::scene::LoadedScene;
 const NAME: &str = "facing";
 const SNIPPET: &str = "
 @group(1) @binding(1) var<uniform> facing: vec4f;
-fn indirect_irradiance(surface: Surface) -> vec3f { return facing.rgb; }
+fn indirect_irradiance(surface: Surface) -> Indirect { return Indirect(facing.rgb, facing.rgb); }
 ";
 
 /// Irradiance in W·m⁻²: how far the picture's middle ray goes along each axis.

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use lightkiln_proto::relight::{Column, Detail, LodView, NearHit, NearRow, OwnSurface, PatchRow, StandIn};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
-use naga::{AddressSpace, TypeInner};
+use naga::{AddressSpace, Statement, TypeInner};
 
 use crate::kinds::field::{self, LatticeNumbers, TetrahedraNumbers};
 use crate::kinds::sh::relight::{self, RelightNumbers};
@@ -62,6 +62,55 @@ fn every_shader_parses_and_validates() {
         }
         assert!(!module.entry_points.is_empty(), "{name}");
     }
+}
+
+/// Functions that a block calls, as often as it names them.
+fn calls(block: &naga::Block, found: &mut Vec<naga::Handle<naga::Function>>) {
+    for statement in block {
+        match statement {
+            Statement::Call { function, .. } => found.push(*function),
+            Statement::Block(inner) => calls(inner, found),
+            Statement::If { accept, reject, .. } => {
+                [accept, reject].into_iter().for_each(|inner| calls(inner, found));
+            }
+            Statement::Switch { cases, .. } => cases.iter().for_each(|case| calls(&case.body, found)),
+            Statement::Loop { body, continuing, .. } => {
+                [body, continuing].into_iter().for_each(|inner| calls(inner, found));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Copies of a function in another where all calls are inlined, as adapters do.
+fn copies(module: &naga::Module, of: &str, within: &naga::Function) -> usize {
+    let mut found = Vec::new();
+    calls(&within.body, &mut found);
+    let copies = found.into_iter().map(|handle| match &module.functions[handle] {
+        called if called.name.as_deref() == Some(of) => 1,
+        called => copies(module, of, called),
+    });
+    copies.sum()
+}
+
+/// Adapters that run on the processor compile each copy for seconds: pictures wait for them.
+#[test]
+fn look_ups_are_inlined_once() {
+    const LONG: [&str; 6] =
+        ["visibility", "is_behind", "from_probes", "with_probe", "lightmap_irradiance", "microfacets"];
+    let mut seen = BTreeMap::new();
+    for (name, source) in shaders() {
+        let module = parsed(&source);
+        for entry in &module.entry_points {
+            for long in LONG {
+                let count = copies(&module, long, &entry.function);
+                assert!(count <= 1, "{name}: {} has {count} copies of {long}", entry.name);
+                *seen.entry(long).or_insert(0) += count;
+            }
+        }
+    }
+    assert!(seen.values().all(|count| *count > 0), "{seen:?}");
+    assert!(seen["visibility"] >= 8, "{seen:?}");
 }
 
 #[test]

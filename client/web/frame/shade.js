@@ -94,6 +94,7 @@ export class ShadePass {
 
   #pipeline(layout, [vertex, fragment], cullMode, depthStencil, blend) {
     const module = this.gpu.module("shade");
+    const constants = fragment === "shade" ? detailsOf(this.scene.manifest) : {};
     const target = blend ? { format: this.format, blend } : { format: this.format };
     return this.gpu.render({
       label: fragment,
@@ -101,7 +102,7 @@ export class ShadePass {
       vertex: { module, entryPoint: vertex, buffers: vertex === "corner" ? [VERTEX_LAYOUT] : [] },
       primitive: { topology: "triangle-list", cullMode },
       depthStencil,
-      fragment: { module, entryPoint: fragment, targets: [target] },
+      fragment: { module, entryPoint: fragment, targets: [target], constants },
     });
   }
 
@@ -201,6 +202,14 @@ export class ShadePass {
     pass.setBindGroup(2, this.draws, [index * this.looks.stride]);
     pass.setBindGroup(3, this.materials[material]);
   }
+}
+
+/** Overrides of the shader: it holds maps and gloss only where a material of the scene, or of its objects, has such. */
+function detailsOf({ materials }) {
+  return {
+    HAS_MAPS: Number(materials.some(({ normalMap }) => normalMap)),
+    HAS_GLOSS: Number(materials.some(({ specular }) => specular)),
+  };
 }
 
 /** Textures of a material in the order of their bindings. */

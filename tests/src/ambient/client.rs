@@ -16,7 +16,7 @@ use super::contract::{self, NAME, ROLE, decode};
 /// The shading function.
 const SNIPPET: &str = "
 @group(1) @binding(1) var<uniform> ambient: vec4f;
-fn indirect_irradiance(surface: Surface) -> vec3f { return ambient.rgb; }
+fn indirect_irradiance(surface: Surface) -> Indirect { return Indirect(ambient.rgb, ambient.rgb); }
 ";
 
 /// The kind's row in the client's table.

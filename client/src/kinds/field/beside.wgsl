@@ -3,25 +3,31 @@
 // Light about another direction than a surface's normal, of that about its normal, at most.
 const TURNED_MOST = 4.0;
 
-// A lightmap knows light about normals alone: about another direction there is as much more as the field has, before the surface.
-fn turned(surface: Surface) -> vec3f {
-    let at = surface.position + surface.facet * min(0.1 * distance_between_probes_m(), 0.1);
-    var found = array<vec3f, 2>(surface.normal, surface.towards);
-    for (var index = 0u; index < 2u; index++) {
-        found[index] = field_irradiance(at, found[index]);
-    }
-    let share = min(found[1] / max(found[0], vec3f(1e-30)), vec3f(TURNED_MOST));
-    return select(share, vec3f(1.0), found[0] + found[1] <= vec3f(0.0));
+// A lightmap knows light about normals alone: about another direction there is as much more as the field has.
+fn turned(own: vec3f, about_normal: vec3f, about: vec3f) -> vec3f {
+    let share = min(about / max(about_normal, vec3f(1e-30)), vec3f(TURNED_MOST));
+    return own * select(share, vec3f(1.0), about_normal + about <= vec3f(0.0));
 }
 
-fn indirect_irradiance(surface: Surface) -> vec3f {
+fn indirect_irradiance(surface: Surface) -> Indirect {
     let placement = placements[surface.draw];
-    if placement.front_size.x == 0u && placement.back_size.x == 0u {
-        return field_irradiance(surface.position, surface.towards);
+    let has_lightmap = placement.front_size.x != 0u || placement.back_size.x != 0u;
+    var own = vec3f(0.0);
+    var at = surface.position;
+    if has_lightmap {
+        own = from_lightmap(surface);
+        let is_turned = (HAS_MAPS && any(surface.towards != surface.normal)) || (HAS_GLOSS && any(surface.lobe != surface.normal));
+        if !is_turned {
+            return Indirect(own, own);
+        }
+        // Before the surface, so that probes see it.
+        at += surface.facet * min(0.1 * distance_between_probes_m(), 0.1);
     }
-    let own = from_lightmap(surface);
-    if all(surface.towards == surface.normal) {
-        return own;
+    let found = field_at(at);
+    let about = Indirect(field_about(found, surface.towards), field_about(found, surface.lobe));
+    if !has_lightmap {
+        return about;
     }
-    return own * turned(surface);
+    let about_normal = field_about(found, surface.normal);
+    return Indirect(turned(own, about_normal, about.towards), turned(own, about_normal, about.lobe));
 }

@@ -81,15 +81,21 @@ const BY_DEPTH = 0u;
 const FIND_LEAST = 1u;
 const BY_LEAST = 2u;
 
-// Adds w E of a probe to Σ w E, in w Σ w, if it sees the point. `FIND_LEAST` keeps in w the least depth in metres at which the point lies
-// behind what one of them sees, below 0 for none; `BY_LEAST` takes those of about that depth.
-fn with_probe(
-    sum: vec4f, probe: u32, tent: f32, point: vec3f, of_normal: array<f32, 9>, how: u32, least_m: f32
-) -> vec4f {
+// Light at a point: Σ w q_j of probes' coefficients by normal, and Σ w.
+struct Gathered {
+    rows: array<vec3f, 9>,
+    weight: f32,
+}
+
+// Adds a probe to Σ w q_j and Σ w, if it sees the point. `FIND_LEAST` keeps in place of Σ w the least depth in metres at which the point
+// lies behind what one of them sees, below 0 for none; `BY_LEAST` takes those of about that depth.
+fn with_probe(sum: ptr<function, Gathered>, probe: u32, tent: f32, point: vec3f, how: u32, least_m: f32) {
     let behind = excess(probe, point);
     let is_near = behind.x <= ROUNDED_SHARE * behind.y && behind.x < rounded_most_m();
     if how == FIND_LEAST {
-        return vec4f(sum.rgb, select(sum.w, behind.x, is_near && (sum.w < 0.0 || behind.x < sum.w)));
+        let before = (*sum).weight;
+        (*sum).weight = select(before, behind.x, is_near && (before < 0.0 || behind.x < before));
+        return;
     }
     var weight = tent;
     if how == BY_LEAST {
@@ -98,33 +104,50 @@ fn with_probe(
         weight *= max(1.0 - behind.x / min(HIDDEN_M, HIDDEN_SHARE * behind.y), 0.0);
     }
     if weight <= 0.0 {
-        return sum;
+        return;
     }
-    var light = vec3f(0.0);
     for (var j = 0u; j < PROBE_ROWS; j++) {
-        light += of_normal[j] * light_at_probes[probe * PROBE_ROWS + j].rgb;
+        (*sum).rows[j] += weight * light_at_probes[probe * PROBE_ROWS + j].rgb;
     }
-    return sum + vec4f(weight * light, weight);
+    (*sum).weight += weight;
 }
 
-fn field_irradiance(point: vec3f, normal: vec3f) -> vec3f {
-    return field_sum(point, harmonics(normal));
-}
-
-// Coefficients of the light at a point, each by a factor, and summed.
-fn field_sum(point: vec3f, of_normal: array<f32, 9>) -> vec3f {
+// Light at a point: of the probes around it that see it; else of those further around; else of those that nearly see it. `from_probes` is
+// called here alone: adapters compile a copy of it for each call.
+fn field_at(point: vec3f) -> Gathered {
+    var found = Gathered();
     if field.probe_count == 0u || is_nowhere(point) {
-        return vec3f(0.0);
+        return found;
     }
-    var sum = from_probes(point, of_normal, false, BY_DEPTH, 0.0);
-    if sum.w < WEIGHT_MIN {
-        sum = from_probes(point, of_normal, true, BY_DEPTH, 0.0);
-    }
-    if sum.w < WEIGHT_MIN {
-        let least = from_probes(point, of_normal, true, FIND_LEAST, 0.0);
-        if least.w >= 0.0 {
-            sum = from_probes(point, of_normal, true, BY_LEAST, least.w);
+    var is_wide = false;
+    var how = BY_DEPTH;
+    var least_m = 0.0;
+    loop {
+        found = from_probes(point, is_wide, how, least_m);
+        if how == BY_LEAST || (how == BY_DEPTH && found.weight >= WEIGHT_MIN) || found.weight < 0.0 {
+            break;
         }
+        if how == FIND_LEAST {
+            least_m = found.weight;
+            how = BY_LEAST;
+        } else if is_wide {
+            how = FIND_LEAST;
+        }
+        is_wide = true;
     }
-    return select(vec3f(0.0), max(sum.rgb / max(sum.w, WEIGHT_MIN), vec3f(0.0)), sum.w >= WEIGHT_MIN);
+    return found;
+}
+
+// Each coefficient by a factor, and summed; none where no probe sees the point.
+fn field_sum(found: Gathered, factors: array<f32, 9>) -> vec3f {
+    var sum = vec3f(0.0);
+    for (var j = 0u; j < PROBE_ROWS; j++) {
+        sum += factors[j] * found.rows[j];
+    }
+    return select(vec3f(0.0), max(sum / max(found.weight, WEIGHT_MIN), vec3f(0.0)), found.weight >= WEIGHT_MIN);
+}
+
+// Irradiance about a direction.
+fn field_about(found: Gathered, direction: vec3f) -> vec3f {
+    return field_sum(found, harmonics(direction));
 }

@@ -30,34 +30,34 @@ fn is_nowhere(point: vec3f) -> bool {
     return any(abs(point / field.spacing_m) > vec3f(LATTICE_MAX));
 }
 
-// Σ w E of the probes around a point's cage that see it, tents for weights, twice as wide where that is asked for.
-fn from_probes(point: vec3f, of_normal: array<f32, 9>, is_wide: bool, how: u32, least_m: f32) -> vec4f {
+// Light of the probes around a point's cage that see it, tents for weights, twice as wide where that is asked for.
+fn from_probes(point: vec3f, is_wide: bool, how: u32, least_m: f32) -> Gathered {
     let at = point / field.spacing_m;
     let cage = vec3i(floor(at));
     let range = select(vec2i(0, 2), vec2i(-1, 3), is_wide);
     let reach = select(1.0, 2.0, is_wide);
-    var sum = vec4f(0.0, 0.0, 0.0, select(0.0, -1.0, how == FIND_LEAST));
+    var sum = Gathered();
+    sum.weight = select(0.0, -1.0, how == FIND_LEAST);
     for (var z = range.x; z < range.y; z++) {
         for (var y = range.x; y < range.y; y++) {
-            for (var x = range.x; x < range.y; x++) {
-                let corner = cage + vec3i(x, y, z);
+            // The probe of each point, and that of its cell.
+            for (var twice = 2 * range.x; twice < 2 * range.y; twice++) {
+                let corner = cage + vec3i(twice >> 1u, y, z);
+                let of_cell = u32(twice & 1);
                 let place = corner - field.low.xyz;
                 if any(place < vec3i(0)) || any(place >= field.size.xyz) {
                     continue;
                 }
                 let index = u32((place.z * field.size.y + place.y) * field.size.x + place.x);
-                for (var of_cell = 0u; of_cell < 2u; of_cell++) {
-                    let half = 0.5 * f32(of_cell);
-                    let probe = probes[of_cell * field.first_probe / 2u + index];
-                    let tent = max(1.0 - abs(at - vec3f(corner) - half) / (reach - half), vec3f(0.0));
-                    let weight = tent.x * tent.y * tent.z;
-                    if weight > 0.0 && probe != NO_PROBE {
-                        sum = with_probe(sum, probe, weight, point, of_normal, how, least_m);
-                    }
+                let half = 0.5 * f32(of_cell);
+                let probe = probes[of_cell * field.first_probe / 2u + index];
+                let tent = max(1.0 - abs(at - vec3f(corner) - half) / (reach - half), vec3f(0.0));
+                let weight = tent.x * tent.y * tent.z;
+                if weight > 0.0 && probe != NO_PROBE {
+                    with_probe(&sum, probe, weight, point, how, least_m);
                 }
             }
         }
     }
     return sum;
 }
-

@@ -105,56 +105,44 @@ fn by_distance(vertex: u32, point: vec3f) -> f32 {
     return 1.0 / max(dot(away, away), NEAREST * NEAREST);
 }
 
-// Σ w E of the probes at the corners of a point's tetrahedron that see it, barycentric coordinates for weights; of those of tetrahedra around
+// Light of the probes at the corners of a point's tetrahedron that see it, barycentric coordinates for weights; of those of tetrahedra around
 // it too, by distance, where that is asked for.
-fn from_probes(point: vec3f, of_normal: array<f32, 9>, is_wide: bool, how: u32, least_m: f32) -> vec4f {
-    var sum = vec4f(0.0, 0.0, 0.0, select(0.0, -1.0, how == FIND_LEAST));
+fn from_probes(point: vec3f, is_wide: bool, how: u32, least_m: f32) -> Gathered {
+    var sum = Gathered();
+    sum.weight = select(0.0, -1.0, how == FIND_LEAST);
     let located = locate(point);
     let at = located.tetrahedron;
     var found: array<u32, WIDE_MOST>;
-    var count = 4u;
-    for (var corner = 0u; corner < 4u; corner++) {
-        let vertex = tetrahedron_word(at, corner);
-        found[corner] = vertex;
-        let share = select(located.shares[corner], by_distance(vertex, point), is_wide);
-        if vertex < field.probe_count && share > 0.0 {
-            sum = with_probe(sum, vertex, share, point, of_normal, how, least_m);
+    var count = 0u;
+    // Itself; then by face that which is beyond it, and those beyond its faces.
+    for (var turn = 0u; turn < select(1u, 21u, is_wide); turn++) {
+        var around = at;
+        if turn > 0u {
+            around = tetrahedron_word(at, 4u + (turn - 1u) / 5u);
+            let way = (turn - 1u) % 5u;
+            if way > 0u && around != NO_TETRAHEDRON {
+                around = tetrahedron_word(around, 3u + way);
+            }
         }
-    }
-    if !is_wide {
-        return sum;
-    }
-    for (var side = 0u; side < 4u; side++) {
-        let beside = tetrahedron_word(at, 4u + side);
-        if beside == NO_TETRAHEDRON {
+        if around == NO_TETRAHEDRON {
             continue;
         }
-        // Itself, then those beyond its faces.
-        for (var way = 0u; way < 5u; way++) {
-            var around = beside;
-            if way > 0u {
-                around = tetrahedron_word(beside, 3u + way);
+        for (var corner = 0u; corner < 4u; corner++) {
+            let vertex = tetrahedron_word(around, corner);
+            var is_new = count < WIDE_MOST;
+            for (var other = 0u; other < count; other++) {
+                is_new = is_new && found[other] != vertex;
             }
-            if around == NO_TETRAHEDRON {
+            if !is_new {
                 continue;
             }
-            for (var corner = 0u; corner < 4u; corner++) {
-                let vertex = tetrahedron_word(around, corner);
-                var is_new = count < WIDE_MOST;
-                for (var other = 0u; other < count; other++) {
-                    is_new = is_new && found[other] != vertex;
-                }
-                if !is_new {
-                    continue;
-                }
-                found[count] = vertex;
-                count++;
-                if vertex < field.probe_count {
-                    sum = with_probe(sum, vertex, by_distance(vertex, point), point, of_normal, how, least_m);
-                }
+            found[count] = vertex;
+            count++;
+            let share = select(located.shares[corner], by_distance(vertex, point), is_wide);
+            if vertex < field.probe_count && share > 0.0 {
+                with_probe(&sum, vertex, share, point, how, least_m);
             }
         }
     }
     return sum;
 }
-

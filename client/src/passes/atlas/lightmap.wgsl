@@ -114,8 +114,7 @@ fn lightmap_irradiance(block: vec4u, size: vec4u, texel: vec2f, before: vec2f) -
 // Irradiance of a surface from the pages; black for one without a lightmap.
 fn from_lightmap(surface: Surface) -> vec3f {
     let placement = placements[surface.draw];
-    if surface.front {
-        return lightmap_irradiance(placement.front, placement.front_size, surface.lightmap_texel, surface.lightmap_before);
-    }
-    return lightmap_irradiance(placement.back, placement.back_size, surface.lightmap_texel, surface.lightmap_before);
+    let block = select(placement.back, placement.front, surface.front);
+    let size = select(placement.back_size, placement.front_size, surface.front);
+    return lightmap_irradiance(block, size, surface.lightmap_texel, surface.lightmap_before);
 }

@@ -1,7 +1,7 @@
 //! Irradiance from lights by shadow maps: at points, and of receivers as the mean over the points of their texels.
 
 pub mod points;
-pub(in crate::passes) mod rect;
+mod rect;
 pub mod reference;
 mod texels;
 

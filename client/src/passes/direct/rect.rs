@@ -110,7 +110,7 @@ pub(super) fn rect_unshadowed(plan: &ShadowPlan, light: &Light, position: Vec3, 
 /// Irradiance of a rectangle in W·m⁻², and the share of it that arrives. Shadows are those of `before`. Cells whose middle
 /// lies under the surface's own horizon have the share of the others: no shadow map tells of them. Where that is so of all that
 /// send light, nobody knows and it is dark: light through a wall would be worse. More points leave less of it.
-pub(in crate::passes) fn rect_irradiance(
+pub(super) fn rect_irradiance(
     (plan, maps): (&ShadowPlan, &ShadowMaps),
     light: &Light,
     [position, before]: [Vec3; 2],

@@ -81,21 +81,32 @@ pub fn direct_irradiance(
     plan.lights.iter().map(of_light).sum()
 }
 
-/// Irradiance of a light on a plane that faces it at a point in free space, seen by the eye, in W·m⁻².
-pub fn arriving(
+/// Irradiance of a lamp at a point that is seen, in W·m⁻², and the share of it that arrives: by cascades where it has some. Shadows are
+/// those of `before`.
+pub fn lamp_irradiance(
     (plan, maps): (&ShadowPlan, &ShadowMaps),
     light: &Light,
-    position: Vec3,
-    towards: Vec3,
-) -> Vec3 {
+    [position, before]: [Vec3; 2],
+    normal: Vec3,
+    facet: Vec3,
+) -> Vec4 {
     if light.shape == Shape::Rect as u32 {
-        return rect_irradiance((plan, maps), light, [position; 2], towards, towards).truncate();
+        return rect_irradiance((plan, maps), light, [position, before], normal, facet);
     }
-    let free = unshadowed(light, position, towards);
-    if free.max_element() <= 0.0 {
-        return Vec3::ZERO;
+    let arriving = unshadowed(light, position, normal);
+    if arriving.max_element() <= 0.0 {
+        return Vec4::ZERO;
     }
-    free * share_seen((plan, maps), light, position, towards)
+    let share = share_seen((plan, maps), light, before, facet);
+    (arriving * share).extend(share)
+}
+
+/// Irradiance of a lamp without shadows, in W·m⁻².
+pub fn free_irradiance(plan: &ShadowPlan, light: &Light, position: Vec3, normal: Vec3) -> Vec3 {
+    match light.shape == Shape::Rect as u32 {
+        true => rect_unshadowed(plan, light, position, normal),
+        false => unshadowed(light, position, normal),
+    }
 }
 
 /// Direct light of a point, and what its shadows are judged by.
@@ -118,10 +129,7 @@ pub fn shadowed(plan: &ShadowPlan, maps: &ShadowMaps, position: Vec3, normal: Ve
         // The filter's corner lies this far from its middle.
         std::f32::consts::SQRT_2 * FILTER_REACH * texel_m / cosine
     };
-    let of_light = |light: &Light| match light.shape == Shape::Rect as u32 {
-        true => rect_unshadowed(plan, light, position, normal),
-        false => unshadowed(light, position, normal),
-    };
+    let of_light = |light: &Light| free_irradiance(plan, light, position, normal);
     Shadowed {
         irradiance: direct_irradiance(plan, maps, position, normal, facet),
         unshadowed: plan.lights.iter().map(of_light).sum(),
@@ -187,12 +195,7 @@ pub(super) fn share_by(
 }
 
 /// Share of a light that arrives at a point that is seen: by the narrowest cascade that holds it, fading in at its rim.
-pub(in crate::passes) fn share_seen(
-    (plan, maps): (&ShadowPlan, &ShadowMaps),
-    light: &Light,
-    position: Vec3,
-    facet: Vec3,
-) -> f32 {
+fn share_seen((plan, maps): (&ShadowPlan, &ShadowMaps), light: &Light, position: Vec3, facet: Vec3) -> f32 {
     let by = |face| share_by((plan, maps), face, light, position, facet);
     for cascade in (0..light.cascades).rev() {
         let face = light.first_cascade + cascade;
@@ -233,7 +236,7 @@ pub(super) fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
     light.first_face + if light.face_count == 6 { cube_face(d) } else { 0 }
 }
 
-pub(in crate::passes) fn unshadowed(light: &Light, position: Vec3, normal: Vec3) -> Vec3 {
+fn unshadowed(light: &Light, position: Vec3, normal: Vec3) -> Vec3 {
     let strength = Vec3::from(light.strength);
     let direction = Vec3::from(light.direction);
     if light.shape == Shape::Sun as u32 {

@@ -53,33 +53,30 @@ fn direct_texels(@builtin(global_invocation_id) id: vec3u) {
     let own = positions[slot].xyz;
     let begin = starts[row];
     let end = starts[row + 1u];
-    if begin == end {
-        let normal = normals[slot].xyz;
-        e_dir[slot] = vec4f(direct_irradiance(own, normal, normal), 0.0);
-        return;
-    }
-    // All points of one texel only where the first few do not agree.
-    let few = select(min(begin + FEW_POINTS, end), end, end - begin > TEXEL_POINTS);
+    let is_own = begin == end;
+    // All points of one texel only where the first few do not agree; one without points has its own.
+    let few = select(select(min(begin + FEW_POINTS, end), end, end - begin > TEXEL_POINTS), begin + 1u, is_own);
+    let last = max(end, few);
+    let whole = TexelPoint(own, normals[slot].xyz);
     var sum = vec3f(0.0);
     for (var index = 0u; index < light_count.count; index++) {
         let light = lights[index];
         var of_light = vec3f(0.0);
         var least = 1.0;
         var most = 0.0;
-        for (var i = begin; i < few; i++) {
-            let point = texel_point(i, own);
+        var counted = few;
+        for (var i = begin; i < counted; i++) {
+            var point = whole;
+            if !is_own {
+                point = texel_point(i, own);
+            }
             let found = light_irradiance(light, point.position, point.normal, point.normal);
             of_light += found.rgb;
             least = min(least, found.w);
             most = max(most, found.w);
-        }
-        var counted = few;
-        if most > 0.0 && least < ALL_LIT {
-            for (var i = few; i < end; i++) {
-                let point = texel_point(i, own);
-                of_light += light_irradiance(light, point.position, point.normal, point.normal).rgb;
+            if i + 1u == few && most > 0.0 && least < ALL_LIT {
+                counted = last;
             }
-            counted = end;
         }
         sum += of_light / f32(counted - begin);
     }

@@ -8,14 +8,7 @@ const PI = 3.14159265358979;
 
 // Irradiance of a light on a plane that faces it, W/m2.
 fn arriving(light: Light, position: vec3f, towards: vec3f) -> vec3f {
-    if light.shape == RECT {
-        return rect_irradiance(light, position, position, towards, towards).rgb;
-    }
-    let free = unshadowed(light, position, towards);
-    if max(free.x, max(free.y, free.z)) <= 0.0 {
-        return vec3f(0.0);
-    }
-    return free * share_seen(light, position, towards);
+    return lamp_irradiance(light, position, position, towards, towards).rgb;
 }
 
 // Henyey and Greenstein's share of scattered light by direction, per steradian.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::FogNumbers;
 use crate::lights::Shape;
-use crate::passes::direct::reference::arriving;
+use crate::passes::direct::reference::lamp_irradiance;
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{Light, ShadowPlan};
 
@@ -71,7 +71,8 @@ impl Froxels {
                 } else {
                     away / away.length_squared().max(1e-30).sqrt()
                 };
-                arriving((plan, maps), light, position, towards) * numbers.phase(towards.dot(ray))
+                let found = lamp_irradiance((plan, maps), light, [position; 2], towards, towards);
+                found.truncate() * numbers.phase(towards.dot(ray))
             };
             let sum = mean_radiance(position) + plan.lights.iter().map(of_light).sum::<Vec3>();
             numbers.eye_per_y[3] * sum

@@ -77,6 +77,15 @@ fn textures_of(material: &Material) -> [Option<&TextureUse>; MATERIAL_TEXTURES] 
     ]
 }
 
+/// Overrides of the shader: it holds maps and gloss only where a material of the scene, or of its objects, has such.
+pub fn details_of(materials: &[Material]) -> [(&'static str, f64); 2] {
+    let any = |has: fn(&Material) -> bool| f64::from(u8::from(materials.iter().any(has)));
+    [
+        ("HAS_MAPS", any(|material| material.normal_map.is_some())),
+        ("HAS_GLOSS", any(|material| material.specular.is_some())),
+    ]
+}
+
 /// The pass and its target.
 #[derive(Debug)]
 pub struct ShadePass {
@@ -122,6 +131,7 @@ impl ShadePass {
         let layout =
             gpu.pipeline_layout(&[&shadow.light_layout, &view_layout, &draw_layout, &material_layout]);
         let module = gpu.module("shade", &shading.shader());
+        let details = details_of(&scene.manifest.materials);
         let view = gpu.buffer("view", size_of::<ShadeView>() as u64, wgpu::BufferUsages::UNIFORM);
         let view_group = gpu.bind(&view_layout, &[&[view.as_entire_binding()], resources].concat());
         let (looks, draw_stride) = gpu.uniforms("draws", &looks(scene, &Tints::default(), &[]));
@@ -139,8 +149,10 @@ impl ShadePass {
         let glass = if panes.is_empty() { None } else { Some(blending(gpu)?) };
         let (target, depth) = create_targets(gpu, size)?;
         Ok(Self {
-            opaque: sides.map(|cull| pipeline(gpu, &layout, &module, cull, None)),
-            glass: glass.map(|blend| sides.map(|cull| pipeline(gpu, &layout, &module, cull, Some(blend)))),
+            opaque: sides.map(|cull| pipeline(gpu, &layout, (&module, &details), cull, None)),
+            glass: glass.map(|blend| {
+                sides.map(|cull| pipeline(gpu, &layout, (&module, &details), cull, Some(blend)))
+            }),
             pane_corners: gpu.buffer(
                 "corners of glass",
                 (panes.len() * size_of::<[u32; 3]>()) as u64,
@@ -391,14 +403,14 @@ fn blending(gpu: &Gpu) -> Result<wgpu::BlendState> {
 fn pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
-    module: &wgpu::ShaderModule,
+    shader: (&wgpu::ShaderModule, &[(&str, f64)]),
     cull_mode: Option<wgpu::Face>,
     blend: Option<wgpu::BlendState>,
 ) -> wgpu::RenderPipeline {
     let primitive = wgpu::PrimitiveState { cull_mode, ..Default::default() };
     let buffers = [Some(vertex_layout())];
     let depth = if blend.is_some() { tested_alone() } else { nearer_wins() };
-    render_pipeline(gpu, layout, (module, ["corner", "shade"]), &buffers, primitive, (depth, blend))
+    render_pipeline(gpu, layout, (shader, ["corner", "shade"]), &buffers, primitive, (depth, blend))
 }
 
 /// Behind everything, without touching the depth.
@@ -408,7 +420,7 @@ fn sky_pipeline(
     module: &wgpu::ShaderModule,
 ) -> wgpu::RenderPipeline {
     let primitive = wgpu::PrimitiveState::default();
-    render_pipeline(gpu, layout, (module, ["sky_corner", "sky"]), &[], primitive, (behind(), None))
+    render_pipeline(gpu, layout, ((module, &[]), ["sky_corner", "sky"]), &[], primitive, (behind(), None))
 }
 
 pub(super) fn behind() -> wgpu::DepthStencilState {
@@ -422,7 +434,7 @@ pub(super) fn behind() -> wgpu::DepthStencilState {
 pub(super) fn render_pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
-    (module, [vertex, fragment]): (&wgpu::ShaderModule, [&str; 2]),
+    ((module, constants), [vertex, fragment]): ((&wgpu::ShaderModule, &[(&str, f64)]), [&str; 2]),
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     primitive: wgpu::PrimitiveState,
     (depth, blend): (wgpu::DepthStencilState, Option<wgpu::BlendState>),
@@ -447,7 +459,7 @@ pub(super) fn render_pipeline(
         fragment: Some(wgpu::FragmentState {
             module,
             entry_point: Some(fragment),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
             targets: &[Some(target)],
         }),
         multiview_mask: None,

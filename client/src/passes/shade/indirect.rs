@@ -27,7 +27,7 @@ pub trait IndirectIrradiance: Sync {
 /// Indirect light on the adapter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shading {
-    /// Snippet with `fn indirect_irradiance(surface: Surface) -> vec3f`, joined behind `shade.wgsl`.
+    /// Snippet with `fn indirect_irradiance(surface: Surface) -> Indirect`, joined behind `shade.wgsl`.
     pub snippet: &'static str,
     /// Kinds of its bindings, in group 1 from 1.
     pub bindings: Vec<wgpu::BindingType>,

@@ -7,8 +7,7 @@ use glam::{Vec2, Vec3};
 use super::Surface;
 use super::specular::{Gloss, mirrored};
 use crate::lights::Shape;
-use crate::passes::direct::rect::rect_irradiance;
-use crate::passes::direct::reference::{share_seen, unshadowed};
+use crate::passes::direct::reference::{free_irradiance, lamp_irradiance};
 use crate::passes::shadow::look_up::towards;
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{Light, RECT_FACES, ShadowPlan};
@@ -60,29 +59,19 @@ pub fn seen_light(
     let is_bent = normal != surface.normal;
     let mirrored = mirrored(gloss.eye, normal);
     for light in &plan.lights {
-        let mut solid = 0.0;
-        let arriving = if light.shape == Shape::Rect as u32 {
-            let on = |normal| rect_irradiance((plan, maps), light, [position, before], normal, surface.facet);
-            let found = on(normal);
-            let strength = Vec3::from(light.strength).max_element();
-            solid = found.truncate().max_element() / (4.0 * PI * strength * found.w).max(1e-30);
-            if is_bent {
-                found.truncate().min(BENT_MOST * on(surface.normal).truncate())
-            } else {
-                found.truncate()
-            }
-        } else {
-            let mut free = unshadowed(light, position, normal);
-            if is_bent {
-                free = free.min(BENT_MOST * unshadowed(light, position, surface.normal));
-            }
-            if free.max_element() <= 0.0 {
-                continue;
-            }
-            free * share_seen((plan, maps), light, before, surface.facet)
-        };
+        let found = lamp_irradiance((plan, maps), light, [position, before], normal, surface.facet);
+        let mut arriving = found.truncate();
+        if is_bent {
+            arriving =
+                arriving.min(BENT_MOST * found.w * free_irradiance(plan, light, position, surface.normal));
+        }
         seen.irradiance += arriving;
         if gloss.is_specular() {
+            let strength = Vec3::from(light.strength).max_element();
+            let solid = match light.shape == Shape::Rect as u32 {
+                true => found.truncate().max_element() / (4.0 * PI * strength * found.w).max(1e-30),
+                false => 0.0,
+            };
             let towards = towards_light(plan, light, position, mirrored);
             seen.reflected += arriving * gloss.microfacets(normal, towards, solid);
         }

@@ -30,36 +30,37 @@ fn towards_light(light: Light, position: vec3f, mirrored: vec3f) -> vec3f {
     return select(away * inverseSqrt(max(dot(away, away), 1e-30)), -light.direction, light.shape == SUN);
 }
 
+// Irradiance of a lamp without shadows.
+fn free_irradiance(light: Light, position: vec3f, normal: vec3f) -> vec3f {
+    if light.shape != RECT {
+        return unshadowed(light, position, normal);
+    }
+    let front = light.first_face + RECT_FACES - 1u;
+    let u = faces[front].right * light.half_size_m.x;
+    let v = faces[front].up * light.half_size_m.y;
+    return light.strength * rect_factor(light.position - position, u, v, normal);
+}
+
 // Light of all lamps, by cascades where there are some. Shadows are those of `before`, a point a little nearer to the eye.
 fn seen_light(surface: Surface, before: vec3f, gloss: Gloss) -> Seen {
     var seen = Seen(vec3f(0.0), vec3f(0.0));
     let normal = surface.towards;
-    let is_bent = any(normal != surface.normal);
+    let is_bent = HAS_MAPS && any(normal != surface.normal);
     let mirrored = reflect(-gloss.eye, normal);
     for (var index = 0u; index < light_count.count; index++) {
         let light = lights[index];
-        var arriving = vec3f(0.0);
-        var solid = 0.0;
-        if light.shape == RECT {
-            let found = rect_irradiance(light, surface.position, before, normal, surface.facet);
-            let strength = max(light.strength.x, max(light.strength.y, light.strength.z));
-            solid = max(found.x, max(found.y, found.z)) / max(4.0 * PI * strength * found.w, 1e-30);
-            arriving = found.rgb;
-            if is_bent {
-                arriving = min(arriving, BENT_MOST * rect_irradiance(light, surface.position, before, surface.normal, surface.facet).rgb);
-            }
-        } else {
-            arriving = unshadowed(light, surface.position, normal);
-            if is_bent {
-                arriving = min(arriving, BENT_MOST * unshadowed(light, surface.position, surface.normal));
-            }
-            if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
-                continue;
-            }
-            arriving *= share_seen(light, before, surface.facet);
+        let found = lamp_irradiance(light, surface.position, before, normal, surface.facet);
+        var arriving = found.rgb;
+        if is_bent {
+            arriving = min(arriving, BENT_MOST * found.w * free_irradiance(light, surface.position, surface.normal));
         }
         seen.irradiance += arriving;
-        if gloss.alpha > 0.0 {
+        if HAS_GLOSS && gloss.alpha > 0.0 && max(arriving.x, max(arriving.y, arriving.z)) > 0.0 {
+            var solid = 0.0;
+            if light.shape == RECT {
+                let strength = max(light.strength.x, max(light.strength.y, light.strength.z));
+                solid = max(found.x, max(found.y, found.z)) / max(4.0 * PI * strength * found.w, 1e-30);
+            }
             seen.reflected += arriving * microfacets(gloss, normal, towards_light(light, surface.position, mirrored), solid);
         }
     }

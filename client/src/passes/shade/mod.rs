@@ -11,7 +11,7 @@ pub mod specular;
 pub mod surface;
 mod view;
 
-pub use gpu::{ShadeDraw, ShadePass};
+pub use gpu::{ShadeDraw, ShadePass, details_of};
 pub use indirect::{IndirectIrradiance, Shading};
 pub use panorama::{PANORAMA_SHADER, PanoramaNumbers};
 pub use surface::Surface;

@@ -58,7 +58,7 @@ impl PanoramaPass {
         let module = gpu.module("panorama", PANORAMA_SHADER);
         let layout = gpu.pipeline_layout(&[&layout]);
         let primitive = wgpu::PrimitiveState::default();
-        let stages = (&module, ["sky_corner", "panorama_sky"]);
+        let stages = ((&module, [].as_slice()), ["sky_corner", "panorama_sky"]);
         let pipeline = render_pipeline(gpu, &layout, stages, &[], primitive, (behind(), None));
         gpu.check()?;
         Ok(Self { image, numbers, pipeline, group })

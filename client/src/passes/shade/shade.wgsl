@@ -1,7 +1,11 @@
 // Radiance that reaches the camera: Lₑ + ρ/π·(E_dir + E), with what microfacets reflect, the sky where nothing is; twin: reference.rs.
 // Of glass, alpha is the share of light that it stops: it is drawn over what is behind it.
 // `light.wgsl` and `view.wgsl` are joined in front, the former holds group 0. Indirect light E is the kind's: its snippet is joined behind, has
-// `fn indirect_irradiance(surface: Surface) -> vec3f`, about `surface.towards` where the kind knows directions, and its bindings in group 1 from 1.
+// `fn indirect_irradiance(surface: Surface) -> Indirect` and its bindings in group 1 from 1.
+
+// Set where materials of the scene have normal maps, and specular reflection: pipelines of others hold no part of them.
+override HAS_MAPS: bool = false;
+override HAS_GLOSS: bool = false;
 
 struct ShadeDraw {
     base_colour: vec4f,
@@ -44,14 +48,22 @@ struct Surface {
     normal: vec3f,
     // The triangle's own normal on the seen side.
     facet: vec3f,
-    // Direction about which light is asked for: the normal that a map says, or the axis of a reflection.
+    // Directions about which light is asked for: the normal that a map says, and the axis of a reflection. Both are `normal` on a surface
+    // without either.
     towards: vec3f,
+    lobe: vec3f,
     draw: u32,
     front: bool,
     // Lightmap coordinates in texels of the side's block.
     lightmap_texel: vec2f,
     // Those of a place on its seen side: it tells on which side of the texels' edges the point lies.
     lightmap_before: vec2f,
+}
+
+// Irradiance that did not come straight from a light, about a surface's `towards` and `lobe` where the kind knows directions.
+struct Indirect {
+    towards: vec3f,
+    lobe: vec3f,
 }
 
 @group(1) @binding(0) var<uniform> view: ShadeView;
@@ -145,47 +157,53 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     let glow = draw.emissive.rgb * textureSample(emissive, emissive_sampler, emissive_uv).rgb;
     let transmission_uv = mapped(draw.transmission_row0, draw.transmission_row1, corner.uv);
     let passing = draw.transmission * textureSample(transmission, transmission_sampler, transmission_uv).a;
-    let normal_uv = mapped(draw.normal_row0, draw.normal_row1, corner.uv);
-    let uv_x = dpdx(normal_uv);
-    let uv_y = dpdy(normal_uv);
-    let bent = 2.0 * textureSample(normals, normals_sampler, normal_uv).xyz - 1.0;
-    let specular_uv = mapped(draw.specular_row0, draw.specular_row1, corner.uv);
-    let rough = textureSample(metallic_roughness, metallic_roughness_sampler, specular_uv);
+    let unit = normalize(corner.normal);
+    var bent = unit;
+    if HAS_MAPS {
+        let uv = mapped(draw.normal_row0, draw.normal_row1, corner.uv);
+        let uv_x = dpdx(uv);
+        let uv_y = dpdy(uv);
+        let texel = 2.0 * textureSample(normals, normals_sampler, uv).xyz - 1.0;
+        if draw.has_normals == 1.0 && view.ray.w != 1.0 && view.horizon.w != 1.0 {
+            bent = mapped_normal(unit, step_x.position, step_y.position, uv_x, uv_y, draw.normal_scale * texel.xy, texel.z);
+        }
+    }
+    var metallic = draw.metallic;
+    var roughness = -1.0;
+    if HAS_GLOSS {
+        let uv = mapped(draw.specular_row0, draw.specular_row1, corner.uv);
+        let texel = textureSample(metallic_roughness, metallic_roughness_sampler, uv);
+        metallic *= texel.b;
+        roughness = select(draw.roughness * texel.g, -1.0, draw.roughness < 0.0 || view.zenith.w == 1.0);
+    }
     let alpha = draw.base_colour.a * corner.colour.a * textureSampleLevel(base_colour, base_sampler, base_uv, 0.0).a;
     if alpha < draw.cutoff {
         discard;
     }
     let side = select(-1.0, 1.0, front);
-    let unit = normalize(corner.normal);
     let normal = side * unit;
-    var towards = normal;
-    if draw.has_normals == 1.0 && view.ray.w != 1.0 && view.horizon.w != 1.0 {
-        towards = side * mapped_normal(unit, step_x.position, step_y.position, uv_x, uv_y, draw.normal_scale * bent.xy, bent.z);
-    }
+    let towards = side * bent;
     // dpdx × dpdy points away from or towards the viewer by the adapter's handedness; the normal knows the side.
     let length2 = dot(across, across);
     var facet = select(normal, across * inverseSqrt(max(length2, 1e-38)), length2 > 1e-30);
     facet = select(-facet, facet, dot(facet, normal) >= 0.0);
+    let met = stopped(mix(1.0, colour.a, draw.blends), colour.rgb, passing);
+    let rho = clamp(met.albedo, vec3f(0.0), vec3f(1.0));
+    let eye = -normalize(ray_to(view.clip_from_world * vec4f(corner.position, 1.0)));
+    let gloss = gloss_of(rho, metallic, roughness, towards, eye);
     let texel = corner.lightmap_texel;
     let lightmap_before = texel_before(corner, step_x, step_y);
-    var surface = Surface(corner.position, normal, facet, towards, draw.index, front, texel, lightmap_before);
-    let met = stopped(mix(1.0, colour.a, draw.blends), colour.rgb, passing);
+    let surface = Surface(corner.position, normal, facet, towards, gloss.lobe, draw.index, front, texel, lightmap_before);
+    let indirect = indirect_irradiance(surface);
     if view.horizon.w == 1.0 {
-        return vec4f(indirect_irradiance(surface), met.share);
+        return vec4f(indirect.towards, met.share);
     }
-    let rho = clamp(met.albedo, vec3f(0.0), vec3f(1.0));
-    let roughness = select(draw.roughness * rough.g, -1.0, draw.roughness < 0.0 || view.zenith.w == 1.0);
-    let eye = -normalize(ray_to(view.clip_from_world * vec4f(surface.position, 1.0)));
-    let gloss = gloss_of(rho, draw.metallic * rough.b, roughness, towards, eye);
     let seen = seen_light(surface, before(surface.position), gloss);
-    // About the normal, then about the axis of the reflection.
-    var gathered = array<vec3f, 2>(vec3f(0.0), vec3f(0.0));
-    for (var lobe = 0u; lobe < select(1u, 2u, gloss.alpha > 0.0); lobe++) {
-        surface.towards = select(towards, gloss.lobe, lobe == 1u);
-        gathered[lobe] = indirect_irradiance(surface);
+    var radiance = glow + rho * gloss.diffuse * (1.0 / PI) * (seen.irradiance + indirect.towards);
+    if HAS_GLOSS {
+        radiance += seen.reflected + gloss.reflectance * (1.0 / PI) * indirect.lobe;
     }
-    let diffuse = rho * gloss.diffuse * (1.0 / PI) * (seen.irradiance + gathered[0]);
-    return vec4f(glow + diffuse + seen.reflected + gloss.reflectance * (1.0 / PI) * gathered[1], met.share);
+    return vec4f(radiance, met.share);
 }
 
 @fragment

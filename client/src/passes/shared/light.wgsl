@@ -145,36 +145,36 @@ fn share_by(face: u32, light: Light, position: vec3f, facet: vec3f) -> f32 {
     return share;
 }
 
-// Share of a light that arrives at what is seen: by the narrowest cascade that holds the point, fading in at its rim.
+// Share of a light that arrives: by the narrowest cascade that holds the point, fading in at its rim. `share_by` is called here alone:
+// adapters compile a copy of it for each call.
 fn share_seen(light: Light, position: vec3f, facet: vec3f) -> f32 {
-    for (var cascade = light.cascades; cascade > 0u; cascade--) {
-        let face = light.first_cascade + cascade - 1u;
-        let ndc = (faces[face].clip_from_world * vec4f(position, 1.0)).xy;
+    var cascade = light.cascades;
+    var own = 1.0;
+    for (; cascade > 0u; cascade--) {
+        let ndc = (faces[light.first_cascade + cascade - 1u].clip_from_world * vec4f(position, 1.0)).xy;
         let inside = 1.0 - max(abs(ndc.x), abs(ndc.y)) - 2.0 * CASCADE_GUARD / f32(light_count.side);
         if inside > 0.0 {
-            let own = share_by(face, light, position, facet);
-            if inside >= CASCADE_RIM {
-                return own;
-            }
-            let wider = select(face - 1u, face_of(light, position), cascade == 1u);
-            return mix(share_by(wider, light, position, facet), own, inside / CASCADE_RIM);
+            own = min(inside / CASCADE_RIM, 1.0);
+            break;
         }
     }
-    return share_by(face_of(light, position), light, position, facet);
+    var share = 0.0;
+    for (var wider = 0u; wider < select(1u, 2u, own < 1.0); wider++) {
+        var face = light.first_cascade + cascade - 1u - wider;
+        if cascade == wider {
+            face = face_of(light, position);
+        }
+        share += select(own, 1.0 - own, wider == 1u) * share_by(face, light, position, facet);
+    }
+    return share;
 }
 
 // Irradiance of one light in W/m2, and the share of it that arrives, whatever is seen. `normal` is the shading normal, `facet`
 // the surface's own.
-fn light_irradiance(light: Light, position: vec3f, normal: vec3f, facet: vec3f) -> vec4f {
-    if light.shape == RECT {
-        return rect_irradiance(light, position, position, normal, facet);
-    }
-    let arriving = unshadowed(light, position, normal);
-    if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
-        return vec4f(0.0);
-    }
-    let share = share_by(face_of(light, position), light, position, facet);
-    return vec4f(arriving * share, share);
+fn light_irradiance(seen: Light, position: vec3f, normal: vec3f, facet: vec3f) -> vec4f {
+    var light = seen;
+    light.cascades = 0u;
+    return lamp_irradiance(light, position, position, normal, facet);
 }
 
 fn direct_irradiance(position: vec3f, normal: vec3f, facet: vec3f) -> vec3f {

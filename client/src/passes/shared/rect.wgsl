@@ -1,4 +1,4 @@
-// Irradiance from rectangles with shadow maps; joined behind `light.wgsl`. Twin: direct/rect.rs.
+// Irradiance from rectangles with shadow maps, and from lamps of all shapes; joined behind `light.wgsl`. Twins: direct/rect.rs, reference.rs.
 //
 // A rectangle is cut into cells. Each gives its irradiance without occluders in closed form, times the share of its middle
 // that arrives by shadow maps: E = L Σ_k F_k V_k, with Σ F_k exact whatever the number of cells.
@@ -70,37 +70,54 @@ fn half_cube_face(light: Light, d: vec3f) -> u32 {
     return cube_face(vec3f(across, max(dot(d, light.direction), 0.0)));
 }
 
-// Irradiance of a rectangle in W/m2, and the share of it that arrives. Shadows are those of `before`. Cells whose middle lies
-// under the surface's own horizon have the share of the others: no shadow map tells of them. Where that is so of all that send
-// light, nobody knows and it is dark: light through a wall would be worse. More points leave less of it.
-fn rect_irradiance(light: Light, position: vec3f, before: vec3f, normal: vec3f, facet: vec3f) -> vec4f {
-    if dot(position - light.position, light.direction) <= 0.0 {
-        return vec4f(0.0);
+// Irradiance of a lamp in W/m2, and the share of it that arrives, by cascades where it has some. Shadows are those of `before`. Cells of a
+// rectangle whose middle lies under the surface's own horizon have the share of the others: no shadow map tells of them. Where that is so
+// of all that send light, nobody knows and it is dark: light through a wall would be worse. More points leave less of it.
+fn lamp_irradiance(light: Light, position: vec3f, before: vec3f, normal: vec3f, facet: vec3f) -> vec4f {
+    let is_rect = light.shape == RECT;
+    var arriving = vec3f(0.0);
+    var count = 1u;
+    var u = vec3f(0.0);
+    var v = vec3f(0.0);
+    // Half a cube stands before each cell's middle, as six faces around a point.
+    var cell = light;
+    if is_rect {
+        if dot(position - light.position, light.direction) <= 0.0 {
+            return vec4f(0.0);
+        }
+        let front = light.first_face + RECT_FACES - 1u;
+        u = faces[front].right * (light.half_size_m.x / f32(light.cells.x));
+        v = faces[front].up * (light.half_size_m.y / f32(light.cells.y));
+        count = light.cells.x * light.cells.y;
+        cell.face_count = RECT_FACES;
+        arriving = light.strength;
+    } else {
+        arriving = unshadowed(light, position, normal);
+        if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
+            return vec4f(0.0);
+        }
     }
-    let front = light.first_face + RECT_FACES - 1u;
-    let sides = light.half_size_m / vec2f(light.cells);
-    let u = faces[front].right * sides.x;
-    let v = faces[front].up * sides.y;
     var total = 0.0;
     var judged = 0.0;
-    var arriving = 0.0;
-    for (var k = 0u; k < light.cells.x * light.cells.y; k++) {
-        let steps = 2.0 * vec2f(vec2u(k % light.cells.x, k / light.cells.x)) + 1.0 - vec2f(light.cells);
-        // Half a cube stands before each cell's middle, as six faces around a point.
-        var cell = light;
-        cell.position = light.position + u * steps.x + v * steps.y;
-        cell.first_face = light.first_face + RECT_FACES * k;
-        cell.face_count = RECT_FACES;
-        let factor = rect_factor(cell.position - position, u, v, normal);
-        if factor <= 0.0 {
-            continue;
+    var share = 0.0;
+    for (var k = 0u; k < count; k++) {
+        var factor = 1.0;
+        var is_judged = true;
+        if is_rect {
+            let steps = 2.0 * vec2f(vec2u(k % light.cells.x, k / light.cells.x)) + 1.0 - vec2f(light.cells);
+            cell.position = light.position + u * steps.x + v * steps.y;
+            cell.first_face = light.first_face + RECT_FACES * k;
+            factor = rect_factor(cell.position - position, u, v, normal);
+            is_judged = dot(facet, cell.position - before) > 0.0;
         }
-        total += factor;
-        if dot(facet, cell.position - before) > 0.0 {
-            judged += factor;
-            arriving += factor * share_by(face_of(cell, before), cell, before, facet);
+        if factor > 0.0 {
+            total += factor;
+            if is_judged {
+                judged += factor;
+                share += factor * share_seen(cell, before, facet);
+            }
         }
     }
-    let share = arriving / max(judged, 1e-30);
-    return vec4f(light.strength * (total * share), share);
+    share /= max(judged, 1e-30);
+    return vec4f(arriving * (total * share), share);
 }
