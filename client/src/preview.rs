@@ -95,7 +95,7 @@ pub struct View {
     pub limit: Limit,
     /// Levels of detail; all of it without.
     pub lod: Option<Lod>,
-    /// What walks through voxels add, of a bake that has some: by the processor.
+    /// Parts that are made by walks through voxels, of a bake that has some: by the processor.
     pub walks: Walks,
     /// Most bytes of the adapter's memory that drawing takes; as many as there are without.
     pub adapter_bytes_max: Option<u64>,

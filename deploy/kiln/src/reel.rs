@@ -101,7 +101,7 @@ impl Reel {
         Ok(())
     }
 
-    /// What walks through voxels show.
+    /// Pictures made by walks through voxels.
     pub fn walks(&self) -> Walks {
         let eye = self.show == Some(ShowName::Elements);
         Walks { eye, irradiance: self.show == Some(ShowName::Walks), ..Walks::default() }

@@ -3,7 +3,7 @@
 
 pub mod reference;
 
-/// What walks add to a picture.
+/// Parts of a picture that are made by walks.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Walks {
     /// Reach R of ambient occlusion in metres, by which indirect light is multiplied; none without.

@@ -15,7 +15,7 @@ pub struct Walked<'a> {
     pub indirect: Box<dyn IndirectIrradiance + 'a>,
     /// Light of its elements.
     pub light: &'a WalkLight<'a>,
-    /// What walks add.
+    /// Parts that walks make.
     pub walks: Walks,
 }
 

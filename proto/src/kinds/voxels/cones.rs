@@ -95,7 +95,7 @@ impl Bundle {
     }
 }
 
-/// What lies in a direction.
+/// The surface or the sky in a direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Seen {
     /// An element.

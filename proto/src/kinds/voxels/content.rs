@@ -94,7 +94,7 @@ impl NormalCode {
     }
 }
 
-/// What lies in a voxel of one side of a patch, or of what has no receiver.
+/// The part in a voxel of one side of a patch, or of a surface without a receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Element {
     /// Mean normal n_e.
@@ -105,7 +105,7 @@ pub struct Element {
     pub bits: u64,
     /// The patch whose radiance it has; `None`: it is dark, as it has no receiver.
     pub patch: Option<PatchKey>,
-    /// What it emits: a place in [`VoxelPart::glows`] and 1, or 0.
+    /// Its glow: a place in [`VoxelPart::glows`] and 1, or 0.
     pub glow: u16,
     /// The other side of the same surface is dark: the back of a single-sided one, or of one that is dark on both.
     pub is_backed: bool,
@@ -125,7 +125,7 @@ impl Element {
     }
 }
 
-/// What an element emits.
+/// Emission of elements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Glow {
     /// Emitter.
@@ -159,7 +159,7 @@ pub struct Brick {
 pub struct VoxelPart {
     /// Side h₀ of voxels of level 0 in metres.
     pub voxel_m: f32,
-    /// What elements emit.
+    /// Emission of elements.
     pub glows: Vec<Glow>,
     /// Bricks, levels from the coarsest, then ascending by key.
     pub bricks: Vec<Brick>,

@@ -18,7 +18,7 @@ pub const GLOWS_MAX: usize = u16::MAX as usize;
 
 /// Section tags of chunks of voxels; part is level, 0, 0.
 pub(super) mod tags {
-    /// What elements emit; part is 0, 0, 0.
+    /// Glows of elements; part is 0, 0, 0.
     pub const GLOWS: u8 = 1;
     /// Bricks, their voxels, and how many elements these have.
     pub const BRICKS: u8 = 2;

@@ -55,8 +55,8 @@ impl BakeKind for Prt {
             TaskRow { name: tasks::COLOUR.name, run: colourless::run },
             TaskRow { name: tasks::OVERVIEW.name, run: overview::run },
             TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
-            TaskRow { name: voxels::tasks::REGION.name, run: super::voxels::region },
-            TaskRow { name: voxels::tasks::TOP.name, run: super::voxels::top },
+            TaskRow { name: voxels::tasks::REGION.name, run: super::voxels::run },
+            TaskRow { name: voxels::tasks::TOP.name, run: super::voxels::run },
         ]
     }
 

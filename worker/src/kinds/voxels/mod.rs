@@ -13,4 +13,4 @@ mod touches;
 
 pub use evaluated::{DIRECTIONS, WalkedBake};
 pub use plan::planned;
-pub use task::{chunks, region, top, totals};
+pub use task::{chunks, run, totals};

@@ -20,24 +20,22 @@ const GLOW_STEPS: f32 = 255.0;
 /// Number of no patch.
 const NONE: u32 = u32::MAX;
 
-/// A world's surfaces as voxels ask for them.
-pub struct Surfaces<'a> {
-    world: &'a World,
-    tree: &'a PatchTree,
+/// Tables of a world and its patches that all tasks of voxels read.
+pub struct SurfaceTables {
     /// Of each patch the one that it is part of, [`NONE`] of a root.
     parent: Vec<u32>,
     /// Of each leaf its patch.
     patch_of_leaf: Vec<u32>,
     /// Of each instance its place in the order of their names.
     order: Vec<u32>,
-    /// Of each emissive triangle what it emits.
+    /// Of each emissive triangle its glow.
     glow_of: BTreeMap<u32, u16>,
     glows: Vec<Glow>,
 }
 
-impl<'a> Surfaces<'a> {
+impl SurfaceTables {
     /// Of a world and its patches, with its emissive triangles.
-    pub fn new(world: &'a World, tree: &'a PatchTree, emissive: &[EmissiveTriangle]) -> Self {
+    pub fn new(world: &World, tree: &PatchTree, emissive: &[EmissiveTriangle]) -> Self {
         let mut parent = vec![NONE; tree.patches.len()];
         let mut patch_of_leaf = vec![NONE; tree.leaf_starts.len()];
         for patch in 0..tree.patches.len() as u32 {
@@ -54,12 +52,26 @@ impl<'a> Surfaces<'a> {
         let mut order = vec![0; instances.len()];
         by_path.iter().zip(0..).for_each(|(&instance, place)| order[instance as usize] = place);
         let (glow_of, glows) = glows(emissive);
-        Self { world, tree, parent, patch_of_leaf, order, glow_of, glows }
+        Self { parent, patch_of_leaf, order, glow_of, glows }
     }
 
-    /// What elements emit.
+    /// Bytes in memory, about.
+    pub fn bytes(&self) -> usize {
+        4 * (self.parent.len() + self.patch_of_leaf.len() + self.order.len()) + 32 * self.glow_of.len()
+    }
+}
+
+/// A world's surfaces as voxels ask for them.
+pub struct Surfaces<'a> {
+    pub world: &'a World,
+    pub tree: &'a PatchTree,
+    pub tables: &'a SurfaceTables,
+}
+
+impl Surfaces<'_> {
+    /// Emission of elements.
     pub fn glows(&self) -> &[Glow] {
-        &self.glows
+        &self.tables.glows
     }
 
     /// Triangles that stop walks, in the order of their instances' names, which hangs on nothing else in the scene; of glass none.
@@ -73,7 +85,7 @@ impl<'a> Surfaces<'a> {
         let mut triangles: Vec<Triangle> = wanted.map(|index| self.triangle(index)).collect();
         triangles.sort_by_key(|triangle| {
             let at = geometry.triangles[triangle.index as usize];
-            (self.order[at.instance as usize], at.triangle)
+            (self.tables.order[at.instance as usize], at.triangle)
         });
         triangles
     }
@@ -87,7 +99,7 @@ impl<'a> Surfaces<'a> {
             index,
             corners: geometry.corners(index),
             is_double_sided: geometry.material(index).double_sided,
-            glow: self.glow_of.get(&index).copied().unwrap_or(0),
+            glow: self.tables.glow_of.get(&index).copied().unwrap_or(0),
             lowest_level: (texels.max(1.0).log2().round() as u32).min(LEVEL_MAX),
         }
     }
@@ -95,8 +107,8 @@ impl<'a> Surfaces<'a> {
     /// The patch of a leaf of a level up to `level`; the leaf's own where that has a higher one.
     fn patch_of(&self, leaf: u32, level: u32) -> PatchKey {
         let key = |patch: u32| self.tree.patches[patch as usize].key;
-        let mut patch = self.patch_of_leaf[leaf as usize];
-        while let parent = self.parent[patch as usize]
+        let mut patch = self.tables.patch_of_leaf[leaf as usize];
+        while let parent = self.tables.parent[patch as usize]
             && parent != NONE
             && key(parent).level() <= level.into()
         {

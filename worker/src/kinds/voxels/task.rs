@@ -1,5 +1,7 @@
 //! Tasks `voxels.region` and `voxels.top`: the chunk of a cube's finest levels, and that of the scene's coarser ones.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::voxels::{VoxelPart, VoxelTotals, encode_voxels};
@@ -8,7 +10,7 @@ use rayon::prelude::*;
 
 use super::elements::Elements;
 use super::plan::VoxelParams;
-use super::sides::Surfaces;
+use super::sides::{SurfaceTables, Surfaces};
 use super::touches::{Place, Scope, Touch, Triangle};
 use crate::emitters::emissive_triangles;
 use crate::lightmap::World;
@@ -23,17 +25,9 @@ const TOTALS: &str = "totals";
 /// Triangles whose touches are held at a time. More → more threads are kept busy, more memory.
 const TRIANGLES_AT_ONCE: usize = 1 << 12;
 
-/// Runs `voxels.region`: inputs are those of `prt.transport` without cells; outputs `elements`, `totals`, `record`.
-pub fn region(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
-    run(context, task)
-}
-
-/// Runs `voxels.top`: as [`region`].
-pub fn top(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
-    run(context, task)
-}
-
-fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+/// Runs `voxels.region` or `voxels.top`, by its parameters: inputs are those of `prt.transport` without cells; outputs `elements`, `totals`,
+/// `record`.
+pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let params: VoxelParams = params(task)?;
     let stage = Stage::of(context)?;
     let why = match before(context, &stage, "as before: no surface in it has changed")? {
@@ -41,7 +35,8 @@ fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
         Before::Changed(why) => why,
     };
     let (world, tree) = (World::of(context)?, PatchTree::of(context)?);
-    let surfaces = Surfaces::new(&world, &tree, &emissive_triangles(&world.geometry));
+    let tables = tables(context, &world, &tree)?;
+    let surfaces = Surfaces { world: &world, tree: &tree, tables: &tables };
     let found = Voxelised::of(&surfaces, (&world, &tree, &stage), &params, context.progress)?;
     let chunk = encode_voxels(&found.part)
         .map_err(|error| TaskError::bad_input_from("the voxels cannot be stored", error))?;
@@ -55,6 +50,16 @@ fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     }
     output.counters.insert("elements".into(), totals.elements.iter().sum::<u64>() as f64);
     Ok(output)
+}
+
+/// Tables of the world and the patches among a task's inputs, made once per worker.
+fn tables(context: &Context, world: &World, tree: &PatchTree) -> Result<Arc<SurfaceTables>, TaskError> {
+    let all: Vec<&str> = context.inputs.iter().map(|artefact| artefact.name.as_str()).collect();
+    context.memory.get_or_insert(context.digest_of_all(&all)?, || {
+        let tables = SurfaceTables::new(world, tree, &emissive_triangles(&world.geometry));
+        let bytes = tables.bytes();
+        Ok((tables, bytes))
+    })
 }
 
 /// Elements, and what was read for them.

@@ -20,13 +20,13 @@ pub struct Triangle {
     pub corners: [Vec3; 3],
     /// Both sides have light.
     pub is_double_sided: bool,
-    /// What it emits, see `Element::glow`.
+    /// Its glow, see `Element::glow`.
     pub glow: u16,
     /// Least level that it is seen at: coarse texels have none finer.
     pub lowest_level: u32,
 }
 
-/// What the points of a scene's triangles are, as voxels ask.
+/// Properties of points of a scene's triangles.
 pub trait Sides {
     /// The patch of a side at a point, of a level up to `level` if there is one; `None` where it is dark.
     fn patch(&self, at: At, is_front: bool, level: u32) -> Option<PatchKey>;
@@ -74,7 +74,7 @@ pub struct Place {
     pub is_finest: bool,
 }
 
-/// What lies in a voxel of one side of a triangle.
+/// The part in a voxel of one side of a triangle.
 #[derive(Clone, Copy, Debug)]
 pub struct Touch {
     /// Unit normal of the side.

@@ -62,7 +62,7 @@ impl ElementRow {
         NormalCode([self.normal as i16, (self.normal >> 16) as i16]).normal()
     }
 
-    /// What it emits, a place in [`VoxelTable::glows`].
+    /// Its glow, a place in [`VoxelTable::glows`].
     pub fn glow(&self) -> Option<u32> {
         (self.marks & GLOW_MARK).checked_sub(1)
     }
@@ -93,7 +93,7 @@ pub struct VoxelTable {
     pub first_elements: Vec<u32>,
     /// Elements, voxel by voxel.
     pub elements: Vec<ElementRow>,
-    /// What they emit.
+    /// Their glows.
     pub glows: Vec<Glow>,
     /// Levels that have bricks, a bit each.
     pub levels: u32,

@@ -67,7 +67,7 @@ impl Start {
     }
 }
 
-/// What a walk meets.
+/// End of a walk at an element.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WalkHit {
     /// The element, or [`NO_ELEMENT`] where a walk took more than [`STEPS_MAX`] steps.
@@ -80,7 +80,7 @@ pub struct WalkHit {
     pub is_back: bool,
 }
 
-/// What a walk along a direction of length 1 meets, of a cone whose half angle has that tangent; `None`: the sky.
+/// End of a walk along a direction of length 1, of a cone whose half angle has that tangent; `None`: the sky.
 pub fn walk(table: &VoxelTable, start: &Start, direction: Vec3, tangent: f32) -> Option<WalkHit> {
     walk_within(table, start, direction, tangent, f32::INFINITY)
 }
@@ -164,7 +164,7 @@ struct Walk<'a> {
     /// Length at which it ends, with what it has met so far.
     limit_m: f32,
     met: Option<WalkHit>,
-    /// What lies around the place; each is that of a box, and found anew outside.
+    /// Boxes around the place; each is that of a box, and found anew outside.
     held: Option<Held>,
     inside: Option<Inside>,
 }
@@ -188,7 +188,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// What it meets.
+    /// Its end.
     fn end(mut self) -> Option<WalkHit> {
         for _ in 0..STEPS_MAX {
             if self.place.t_m >= self.limit_m || !self.table.holds(self.place.tick) {
