@@ -131,7 +131,8 @@ impl ShadePass {
         let layout =
             gpu.pipeline_layout(&[&shadow.light_layout, &view_layout, &draw_layout, &material_layout]);
         let module = gpu.module("shade", &shading.shader());
-        let details = details_of(&scene.manifest.materials);
+        let constants = details_of(&scene.manifest.materials);
+        let shade = Program { module: &module, vertex: "corner", fragment: "shade", constants: &constants };
         let view = gpu.buffer("view", size_of::<ShadeView>() as u64, wgpu::BufferUsages::UNIFORM);
         let view_group = gpu.bind(&view_layout, &[&[view.as_entire_binding()], resources].concat());
         let (looks, draw_stride) = gpu.uniforms("draws", &looks(scene, &Tints::default(), &[]));
@@ -149,10 +150,8 @@ impl ShadePass {
         let glass = if panes.is_empty() { None } else { Some(blending(gpu)?) };
         let (target, depth) = create_targets(gpu, size)?;
         Ok(Self {
-            opaque: sides.map(|cull| pipeline(gpu, &layout, (&module, &details), cull, None)),
-            glass: glass.map(|blend| {
-                sides.map(|cull| pipeline(gpu, &layout, (&module, &details), cull, Some(blend)))
-            }),
+            opaque: sides.map(|cull| pipeline(gpu, &layout, shade, cull, None)),
+            glass: glass.map(|blend| sides.map(|cull| pipeline(gpu, &layout, shade, cull, Some(blend)))),
             pane_corners: gpu.buffer(
                 "corners of glass",
                 (panes.len() * size_of::<[u32; 3]>()) as u64,
@@ -403,14 +402,14 @@ fn blending(gpu: &Gpu) -> Result<wgpu::BlendState> {
 fn pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
-    shader: (&wgpu::ShaderModule, &[(&str, f64)]),
+    shade: Program<'_>,
     cull_mode: Option<wgpu::Face>,
     blend: Option<wgpu::BlendState>,
 ) -> wgpu::RenderPipeline {
     let primitive = wgpu::PrimitiveState { cull_mode, ..Default::default() };
     let buffers = [Some(vertex_layout())];
     let depth = if blend.is_some() { tested_alone() } else { nearer_wins() };
-    render_pipeline(gpu, layout, (shader, ["corner", "shade"]), &buffers, primitive, (depth, blend))
+    render_pipeline(gpu, layout, shade, &buffers, primitive, (depth, blend))
 }
 
 /// Behind everything, without touching the depth.
@@ -420,7 +419,8 @@ fn sky_pipeline(
     module: &wgpu::ShaderModule,
 ) -> wgpu::RenderPipeline {
     let primitive = wgpu::PrimitiveState::default();
-    render_pipeline(gpu, layout, ((module, &[]), ["sky_corner", "sky"]), &[], primitive, (behind(), None))
+    let sky = Program { module, vertex: "sky_corner", fragment: "sky", constants: &[] };
+    render_pipeline(gpu, layout, sky, &[], primitive, (behind(), None))
 }
 
 pub(super) fn behind() -> wgpu::DepthStencilState {
@@ -431,10 +431,19 @@ pub(super) fn behind() -> wgpu::DepthStencilState {
     }
 }
 
+/// Entry points of a render pipeline in one module, and the fragment shader's override constants.
+#[derive(Clone, Copy)]
+pub(super) struct Program<'a> {
+    pub(super) module: &'a wgpu::ShaderModule,
+    pub(super) vertex: &'a str,
+    pub(super) fragment: &'a str,
+    pub(super) constants: &'a [(&'a str, f64)],
+}
+
 pub(super) fn render_pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
-    ((module, constants), [vertex, fragment]): ((&wgpu::ShaderModule, &[(&str, f64)]), [&str; 2]),
+    Program { module, vertex, fragment, constants }: Program<'_>,
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     primitive: wgpu::PrimitiveState,
     (depth, blend): (wgpu::DepthStencilState, Option<wgpu::BlendState>),

@@ -5,7 +5,7 @@ use lightkiln_proto::relight::{Panorama, PanoramaImage};
 use std::sync::Arc;
 use wgpu::ShaderStages as Stages;
 
-use super::gpu::{behind, render_pipeline};
+use super::gpu::{Program, behind, render_pipeline};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed, texture, uniform};
 
@@ -58,8 +58,8 @@ impl PanoramaPass {
         let module = gpu.module("panorama", PANORAMA_SHADER);
         let layout = gpu.pipeline_layout(&[&layout]);
         let primitive = wgpu::PrimitiveState::default();
-        let stages = ((&module, [].as_slice()), ["sky_corner", "panorama_sky"]);
-        let pipeline = render_pipeline(gpu, &layout, stages, &[], primitive, (behind(), None));
+        let sky = Program { module: &module, vertex: "sky_corner", fragment: "panorama_sky", constants: &[] };
+        let pipeline = render_pipeline(gpu, &layout, sky, &[], primitive, (behind(), None));
         gpu.check()?;
         Ok(Self { image, numbers, pipeline, group })
     }
