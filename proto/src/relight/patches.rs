@@ -81,6 +81,16 @@ impl PatchTable {
         self.by_key.get(&key).copied()
     }
 
+    /// Whether no light can reach a patch: the baker left all of its receivers out.
+    pub fn is_dark(&self, patch: u32) -> bool {
+        let Some(PatchRow { first_leaf, leaf_count, .. }) = self.patches.get(patch as usize) else {
+            return true;
+        };
+        let [first, end] =
+            [*first_leaf, first_leaf + leaf_count].map(|leaf| self.leaf_starts[leaf as usize] as usize);
+        self.slots[first..end].iter().all(|slot| *slot == DARK)
+    }
+
     /// The finest patch of each slot that is in one, [`NO_PATCH`] of others.
     pub fn finest_of_slots(&self) -> Vec<u32> {
         let slots =

@@ -93,7 +93,7 @@ impl Decoded {
             .collect::<Result<_>>()?;
         ensure!(!parts.is_empty(), "the bake has no voxels");
         let patches = &baked.transport.columns;
-        Ok((voxels::VoxelTable::join(parts.iter(), |key| patches.number(key))?, patches))
+        Ok((voxels::VoxelTable::of_bake(parts.iter(), patches)?, patches))
     }
 
     /// Slot of a texel; `None` for those that no light can reach.

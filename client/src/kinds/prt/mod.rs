@@ -72,7 +72,7 @@ pub fn voxels(source: &Source, manifest: &Manifest, patches: &PatchTable) -> Res
     if parts.is_empty() {
         return Ok(None);
     }
-    let table = VoxelTable::join(parts.iter(), |key| patches.number(key))
+    let table = VoxelTable::of_bake(parts.iter(), patches)
         .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
     Ok(Some(table))
 }

@@ -11,10 +11,14 @@ use super::walk::{Start, WalkHit, walk, walk_within};
 
 /// Walks for irradiance: 8 % of noise in a room with one bounce of hard light; a quarter of them have 20 %.
 pub const IRRADIANCE_WALKS: u32 = 64;
+/// Walks for what microfacets reflect.
+pub const REFLECTION_WALKS: u32 = 16;
 /// Walks for ambient occlusion.
 pub const OCCLUSION_WALKS: u32 = 32;
 /// Reach of ambient occlusion in metres.
 pub const OCCLUSION_REACH_M: f32 = 1.0;
+/// Least cosine between a normal and the eye for reflections; less is taken for it.
+const EYE_MIN: f32 = 0.05;
 /// Steps of the R₂ sequence \[Roberts2018\] in 2⁻³²: the plastic number's reciprocal and its square.
 const R2_STEPS: [u32; 2] = [3_242_174_889, 2_447_445_413];
 
@@ -69,11 +73,27 @@ impl Bundle {
         Cone { direction: turned(Vec3::new(x, y, z), normal), tangent: self.tangent(z / PI) }
     }
 
-    /// As [`Bundle::cosine`] about a shading normal, mirrored above the face where it lies below.
-    pub fn cosine_above(&self, index: u32, normal: Vec3, face_normal: Vec3) -> Cone {
-        let cone = self.cosine(index, normal);
-        let below = cone.direction.dot(face_normal).min(0.0);
-        Cone { direction: cone.direction - face_normal * (2.0 * below), ..cone }
+    /// Cone of a walk that a microfacet reflects from the eye, drawn among those that the eye sees (\[Dupuy2023\]): with slopes of width α,
+    /// `pdf = D/(2(c + √(α² + (1−α²)c²)))`, c the cosine between normal and eye.
+    pub fn reflected(&self, index: u32, normal: Vec3, eye: Vec3, alpha: f32) -> Cone {
+        let [u, v] = self.point(index);
+        let (x, y) = basis_about(normal);
+        let cosine = normal.dot(eye).max(EYE_MIN);
+        let seen = Vec3::new(x.dot(eye), y.dot(eye), cosine).normalize();
+        let stretched = Vec3::new(alpha * seen.x, alpha * seen.y, seen.z).normalize();
+        let (sine, turn) = libm::sincosf(u * 2.0 * PI);
+        let up = (1.0 - v) * (1.0 + stretched.z) - stretched.z;
+        let radius = (1.0 - up * up).max(0.0).sqrt();
+        let half = Vec3::new(radius * turn, radius * sine, up) + stretched;
+        let facet = Vec3::new(alpha * half.x, alpha * half.y, half.z.max(0.0)).normalize_or(Vec3::Z);
+        let local = facet * (2.0 * facet.dot(seen)) - seen;
+        let a2 = alpha * alpha;
+        // 1 − (1 − α²) z², as the difference has too few digits at the peak of narrow lobes.
+        let spread = facet.x * facet.x + facet.y * facet.y + a2 * facet.z * facet.z;
+        let slopes = a2 / (PI * spread * spread);
+        let pdf = slopes / (2.0 * (seen.z + (a2 + (1.0 - a2) * seen.z * seen.z).sqrt()));
+        let direction = x * local.x + y * local.y + normal * local.z;
+        Cone { direction, tangent: self.tangent(pdf) }
     }
 
     /// Cone of a walk, uniform in a cone about an axis: `pdf = 1/(4π sin²(α/2))`, α its half angle, up to π.
@@ -95,6 +115,15 @@ impl Bundle {
     }
 }
 
+impl Cone {
+    /// Mirrored above a face where it lies below.
+    #[must_use]
+    pub fn above(self, face_normal: Vec3) -> Self {
+        let below = self.direction.dot(face_normal).min(0.0);
+        Self { direction: self.direction - face_normal * (2.0 * below), ..self }
+    }
+}
+
 /// The surface or the sky in a direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Seen {
@@ -113,10 +142,27 @@ pub fn irradiance(
     radiance: impl Fn(&Seen) -> Vec3,
 ) -> Vec3 {
     let seen = |index| {
-        let Cone { direction, tangent } = bundle.cosine_above(index, normal, start.normal.unwrap_or(normal));
+        let Cone { direction, tangent } = bundle.cosine(index, normal).above(start.normal.unwrap_or(normal));
         radiance(&walk(table, start, direction, tangent).map_or(Seen::Sky(direction), Seen::Hit))
     };
     (0..bundle.walks).map(seen).sum::<Vec3>() * (PI / bundle.walks as f32)
+}
+
+/// Mean radiance in W·m⁻²·sr⁻¹ of what microfacets with slopes of width α, about a shading normal, reflect towards the eye from a start on a surface: times
+/// their albedo it is the radiance that they send.
+pub fn reflection(
+    table: &VoxelTable,
+    start: &Start,
+    (normal, eye, alpha): (Vec3, Vec3, f32),
+    bundle: &Bundle,
+    radiance: impl Fn(&Seen) -> Vec3,
+) -> Vec3 {
+    let seen = |index| {
+        let cone = bundle.reflected(index, normal, eye, alpha).above(start.normal.unwrap_or(normal));
+        let hit = walk(table, start, cone.direction, cone.tangent);
+        radiance(&hit.map_or(Seen::Sky(cone.direction), Seen::Hit))
+    };
+    (0..bundle.walks).map(seen).sum::<Vec3>() / bundle.walks as f32
 }
 
 /// Ambient occlusion at a start on a surface of a shading normal, 1 where nothing is near: `1 − 1/M Σ (1 − min(t/R, 1))²`, t the lengths of cosine-distributed
@@ -129,21 +175,26 @@ pub fn ambient_occlusion(
     reach_m: f32,
 ) -> f32 {
     let hidden = |index| {
-        let Cone { direction, tangent } = bundle.cosine_above(index, normal, start.normal.unwrap_or(normal));
+        let Cone { direction, tangent } = bundle.cosine(index, normal).above(start.normal.unwrap_or(normal));
         let hit = walk_within(table, start, direction, tangent, reach_m);
         hit.map_or(0.0, |hit| (1.0 - hit.t_m / reach_m) * (1.0 - hit.t_m / reach_m))
     };
     1.0 - (0..bundle.walks).map(hidden).sum::<f32>() / bundle.walks as f32
 }
 
-/// A direction about +z, turned so that +z becomes an axis (the frame of \[Duff2017\]).
+/// A direction about +z, turned so that +z becomes an axis.
 fn turned(local: Vec3, axis: Vec3) -> Vec3 {
+    let (x, y) = basis_about(axis);
+    x * local.x + y * local.y + axis * local.z
+}
+
+/// The axes across one (the frame of \[Duff2017\]).
+fn basis_about(axis: Vec3) -> (Vec3, Vec3) {
     let sign = if axis.z < 0.0 { -1.0 } else { 1.0 };
     let a = -1.0 / (sign + axis.z);
     let b = axis.x * axis.y * a;
     let x = Vec3::new(1.0 + sign * axis.x * axis.x * a, sign * b, -sign * axis.x);
-    let y = Vec3::new(b, sign + axis.y * axis.y * a, -axis.y);
-    x * local.x + y * local.y + axis * local.z
+    (x, Vec3::new(b, sign + axis.y * axis.y * a, -axis.y))
 }
 
 #[cfg(test)]
@@ -185,6 +236,52 @@ mod tests {
             // All walks' cones together are as wide as the cone: M τ² = 4 sin²(α/2).
             assert!((1024.0 * cones[0].tangent * cones[0].tangent / (2.0 * most) - 1.0).abs() < 1e-3);
         }
+    }
+
+    /// Directions have the density that widths are made of: the mean of any function over it is its integral over the hemisphere.
+    #[test]
+    fn reflected_directions_have_the_moments_of_their_density() {
+        let normal = Vec3::new(0.48, -0.6, -0.64);
+        let across = normal.any_orthonormal_vector();
+        for (alpha, cosine) in [(0.1_f32, 0.9_f32), (0.3, 0.4), (0.7, 0.7), (1.0, 0.5)] {
+            let eye = normal * cosine + across * (1.0 - cosine * cosine).sqrt();
+            let bundle = Bundle::new(1 << 14, 5);
+            let cones: Vec<Cone> =
+                (0..1 << 14).map(|index| bundle.reflected(index, normal, eye, alpha)).collect();
+            for cone in &cones {
+                assert!((cone.direction.length() - 1.0).abs() < 1e-4 && cone.tangent <= 1.0, "{cone:?}");
+            }
+            // Σ 1/(M pdf) over directions in a part of the sphere is its solid angle: π τ² each.
+            let lobe = normal * (2.0 * cosine) - eye;
+            let half_angle = (2.0 * alpha).min(0.5);
+            let within = cones.iter().filter(|cone| cone.direction.dot(lobe) > half_angle.cos());
+            let solid = within.map(|cone| PI * cone.tangent * cone.tangent).sum::<f32>();
+            let wanted = 2.0 * PI * (1.0 - half_angle.cos());
+            assert!((solid / wanted - 1.0).abs() < 0.05, "{alpha} {cosine}: {solid}, not {wanted}");
+        }
+    }
+
+    /// A mirror sees what is mirrored, a rough one its lobe; whatever surfaces of radiance 1 enclose is reflected with mean 1.
+    #[test]
+    fn reflection_of_an_even_room_is_one_and_a_mirror_sees_one_wall() {
+        let floor = sheet(DVec3::new(0.0, -4.0, 0.0), DVec3::X * 4.0, DVec3::Y * 8.0, 0);
+        let wall = sheet(DVec3::new(4.0, -4.0, 0.0), DVec3::Z * 4.0, DVec3::Y * 8.0, 1);
+        let scene = Scene::new(0.1, 0..7, &[floor, wall].concat());
+        let table = scene.table();
+        let start = Start::on(Vec3::new(3.0, 0.02, 0.0), Vec3::Z);
+        let bright = |seen: &Seen| match seen {
+            Seen::Hit(hit) if scene.surface(hit.patch) == 1 => Vec3::ONE,
+            _ => Vec3::ZERO,
+        };
+        let eye = Vec3::new(-0.6, 0.0, 0.8);
+        let of =
+            |eye, alpha| reflection(&table, &start, (Vec3::Z, eye, alpha), &Bundle::new(64, 2), bright).x;
+        assert_eq!(of(eye, 0.01), 1.0);
+        assert_eq!(of(Vec3::new(0.6, 0.0, 0.8), 0.01), 0.0);
+        let rough = of(eye, 1.0);
+        assert!(rough > 0.3 && rough < 0.9, "{rough}");
+        let even = reflection(&table, &start, (Vec3::Z, eye, 0.5), &Bundle::new(64, 2), |_| Vec3::ONE);
+        assert!((even - 1.0).abs().max_element() < 1e-5, "{even}");
     }
 
     #[test]

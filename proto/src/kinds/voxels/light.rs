@@ -20,6 +20,21 @@ pub struct WalkLight<'a> {
     first_of_sky: usize,
 }
 
+/// Radiance of a table's glows from that of each emitter, W·m⁻²·sr⁻¹.
+pub fn glows_of(table: &VoxelTable, emitters: impl Fn(u16) -> Vec3) -> Vec<Vec3> {
+    table.glows.iter().map(|glow| Vec3::from(glow.share) * emitters(glow.emitter)).collect()
+}
+
+/// Directions of the parts of the sky.
+pub fn sky_directions(patches: &PatchTable) -> Vec<Vec3> {
+    (0..patches.sky_parts).map(|part| relight_direction(part, patches.sky_parts)).collect()
+}
+
+/// Place of the sky's first part in λ.
+pub fn first_of_sky(patches: &PatchTable) -> usize {
+    2 * patches.patches.len()
+}
+
 impl<'a> WalkLight<'a> {
     /// Of λ as `patches` lists it, and the radiance of each emitter, by its scale, W·m⁻²·sr⁻¹.
     pub fn new(
@@ -28,15 +43,8 @@ impl<'a> WalkLight<'a> {
         lambda: &'a [Vec4],
         emitters: impl Fn(u16) -> Vec3,
     ) -> Self {
-        let glows = table.glows.iter().map(|glow| Vec3::from(glow.share) * emitters(glow.emitter));
-        let sky = (0..patches.sky_parts).map(|part| relight_direction(part, patches.sky_parts));
-        Self {
-            table,
-            lambda,
-            glows: glows.collect(),
-            sky: sky.collect(),
-            first_of_sky: 2 * patches.patches.len(),
-        }
+        let glows = glows_of(table, emitters);
+        Self { table, lambda, glows, sky: sky_directions(patches), first_of_sky: first_of_sky(patches) }
     }
 
     /// The elements.
@@ -57,7 +65,7 @@ impl<'a> WalkLight<'a> {
     pub fn of_element(&self, element: u32) -> Vec3 {
         let Some(row) = self.table.elements.get(element as usize) else { return Vec3::ZERO };
         let glow = row.glow().map_or(Vec3::ZERO, |glow| self.glows[glow as usize]);
-        if row.patch == DARK_PATCH { glow } else { self.of_patch(row.patch) + glow }
+        if row.patch_number == DARK_PATCH { glow } else { self.of_patch(row.patch_number) + glow }
     }
 
     /// λ of a patch.

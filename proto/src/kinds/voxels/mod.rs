@@ -23,14 +23,15 @@ use serde::{Deserialize, Serialize};
 
 pub use chunk::{ROW, VOXELS_CHUNK, decode_voxels, decode_voxels_prefix, encode_voxels, voxel_layers};
 pub use cones::{
-    Bundle, Cone, IRRADIANCE_WALKS, OCCLUSION_REACH_M, OCCLUSION_WALKS, Seen, ambient_occlusion, irradiance,
+    Bundle, Cone, IRRADIANCE_WALKS, OCCLUSION_REACH_M, OCCLUSION_WALKS, REFLECTION_WALKS, Seen,
+    ambient_occlusion, irradiance, reflection,
 };
 pub use content::{
     BRICK_VOXELS, BRICKS_MAX, Brick, BrickKey, Element, Glow, LEVELS_MAX, NormalCode, REGION_LEVELS,
     REGION_VOXELS, SUBS, Voxel, VoxelPart, place_in_brick, sub_in_voxel, voxel_in_brick,
 };
 pub use head::{GLOWS_MAX, PART_BRICKS_MAX, PART_ELEMENTS_MAX};
-pub use light::WalkLight;
+pub use light::{WalkLight, first_of_sky, glows_of, sky_directions};
 pub use settings::{Presence, VoxelSettings};
 pub use table::{
     BRICK_SIZE, BRICK_WORDS, BrickRow, DARK_PATCH, ElementRow, NO_BRICK, VOXEL_SIZE, VoxelTable, brick_hash,

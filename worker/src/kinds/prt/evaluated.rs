@@ -54,7 +54,7 @@ pub fn evaluated_of(
         if parts.is_empty() {
             return Ok(bake);
         }
-        let voxels = VoxelTable::join(parts.iter(), |key| bake.columns().number(key))?;
+        let voxels = VoxelTable::of_bake(parts.iter(), bake.columns())?;
         Ok(bake.walkable(Box::new(|bake| Box::new(WalkedBake::new(bake, voxels)))))
     })
 }

@@ -108,7 +108,7 @@ impl WalkedLight<'_> {
             let patch = self.walked.bake.slot(&place).and_then(patch_of).filter(|patch| *patch != NO_PATCH);
             glow + patch.map_or(Vec3::ZERO, |patch| light.of_patch(patch))
         };
-        let along = |walk| bundle.cosine_above(walk, site.normal, site.face_normal).direction;
+        let along = |walk| bundle.cosine(walk, site.normal).above(site.face_normal).direction;
         let sum: Vec3 = (0..bundle.walks()).map(|walk| radiance(along(walk))).sum();
         std::f32::consts::PI / bundle.walks() as f32 * sum
     }

@@ -1,5 +1,6 @@
 //! Elements at run time: flat arrays that shaders read as they are, and the brick of a place by hash.
 
+mod dark;
 #[cfg(test)]
 mod tests;
 
@@ -10,7 +11,7 @@ use super::content::{
     BRICK_VOXELS, BRICKS_MAX, Brick, BrickKey, Element, Glow, LEVELS_MAX, NormalCode, SUBS, VoxelPart,
 };
 use crate::content::{PatchKey, PatchSet};
-use crate::relight::Inconsistent;
+use crate::relight::{Inconsistent, PatchTable};
 
 /// Stands for the patch of what is dark.
 pub const DARK_PATCH: u32 = u32::MAX;
@@ -51,7 +52,7 @@ pub struct ElementRow {
     /// Sub-voxels that it touches, lower 32 bits first.
     pub bits: [u32; 2],
     /// Its patch, or [`DARK_PATCH`].
-    pub patch: u32,
+    pub patch_number: u32,
     /// Its glow and flags: [`ElementRow::glow`], [`ElementRow::is_backed`], [`ElementRow::is_finest`] read them.
     pub marks: u32,
 }
@@ -106,6 +107,16 @@ pub struct VoxelTable {
 }
 
 impl VoxelTable {
+    /// Joins parts that have come, with the patches of their bake.
+    pub fn of_bake<'a>(
+        parts: impl Iterator<Item = &'a VoxelPart> + Clone,
+        patches: &PatchTable,
+    ) -> Result<Self, Inconsistent> {
+        let mut table = Self::join(parts, |key| patches.number(key))?;
+        dark::yield_to_lit(&mut table, |patch| patches.is_dark(patch));
+        Ok(table)
+    }
+
     /// Joins parts that have come; `patch_of` says the number of a patch, see [`patch_numbers`].
     pub fn join<'a>(
         parts: impl Iterator<Item = &'a VoxelPart> + Clone,
@@ -284,7 +295,7 @@ fn element_row(element: &Element, patch: u32, glows: usize, voxel_m: f32) -> Ele
         normal: x | y << 16,
         height_m: element.height_m(voxel_m),
         bits: [element.bits as u32, (element.bits >> 32) as u32],
-        patch,
+        patch_number: patch,
         marks: glow | flag(element.is_backed, IS_BACKED) | flag(element.is_finest, IS_FINEST),
     }
 }

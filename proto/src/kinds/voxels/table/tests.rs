@@ -58,10 +58,13 @@ fn elements_are_found_by_level_brick_and_voxel() {
     let row = table.elements[4];
     assert!((row.normal() - Vec3::new(0.6, 0.0, -0.8)).length() < 1e-4);
     assert!((row.height_m + 0.05).abs() < 1e-5);
-    assert_eq!((row.bits, row.patch, row.glow()), ([6, 1 << 8], 104, None));
+    assert_eq!((row.bits, row.patch_number, row.glow()), ([6, 1 << 8], 104, None));
     let top =
         table.elements[numbers(table.brick(2, IVec3::new(-1, 0, 2)).unwrap(), 0).unwrap().start as usize];
-    assert_eq!((top.patch, top.glow(), top.is_backed(), top.is_finest()), (DARK_PATCH, Some(1), true, true));
+    assert_eq!(
+        (top.patch_number, top.glow(), top.is_backed(), top.is_finest()),
+        (DARK_PATCH, Some(1), true, true)
+    );
     assert_eq!(table.glows[1].emitter, 4);
     for (level, cell) in [(1, IVec3::new(-1, 0, 2)), (0, IVec3::new(-1, 0, 3)), (2, IVec3::ZERO)] {
         assert_eq!(table.brick(level, cell), None);

@@ -10,6 +10,10 @@
 //! *We differ:* such an element of the start's own side is a candidate where n_e·ω < −1/256, as its sheet bends towards the walk there. Without
 //! that, one walk in 1400 that starts on a sphere of five voxels leaves it through the nearest crease.
 //!
+//! A back that reaches up to the start's own sheet and ends there, as that of the next face of a box does, is no candidate in sub-voxels that the
+//! plane of that sheet cuts: the walk is before the sheet, and so beside the back. It ends there if two sub-voxels farther, before the sheet, its
+//! plane holds nothing of it.
+//!
 //! The first sub-voxel along the way that a candidate touches ends the walk, where the candidate's plane is, held within the sub-voxel. Where
 //! candidates of several patches touch it, the walk goes on there a level finer. Surfaces without elements at the finer levels have walks of
 //! their own, each at their finest level, as far as the main walk is at finer ones; the nearest hit wins.
@@ -29,7 +33,7 @@ use glam::{IVec3, Vec3};
 
 use self::candidates::{Line, Nearest, nearer};
 use self::path::{Path, Place};
-use super::content::{place_in_brick, sub_in_voxel};
+use super::content::{SUBS, place_in_brick, sub_in_voxel};
 use super::table::{BRICK_SIZE, DARK_PATCH, ElementRow, NO_BRICK, VOXEL_SIZE, VoxelTable};
 
 /// Steps at most; a walk that takes more ends in the dark. Along a wall 1024 voxels long, which it meets nowhere, a walk takes 4 steps a voxel
@@ -42,6 +46,13 @@ const TANGENT_MIN: f32 = 1e-20;
 /// Voxels of a level along the widest box that a walk at finer levels passes in one step, at most: the diagonal of a brick of the level below,
 /// 4√3.
 const STEP_VOXELS: f32 = 7.0;
+
+/// Sub-voxels before the start's sheet at which a back that stands on it goes on.
+const BESIDE_SUBS: f32 = 2.0;
+/// Least square of the sine between a back and the start's sheet: flatter ones do not end at it.
+const BESIDE_RISE: f32 = 0.1;
+/// Least cosine between normals of a back and what it goes on as.
+const BESIDE_COSINE: f32 = 0.9;
 
 /// Stands for the element of a walk that was too long.
 pub const NO_ELEMENT: u32 = u32::MAX;
@@ -305,7 +316,10 @@ impl<'a> Walk<'a> {
             }
             let found = self.line.candidate(element, inside.middle_m, inside.side_m);
             let Some((t_m, is_back)) = found else { continue };
-            let patch = if is_back { DARK_PATCH } else { element.patch };
+            if is_back && self.is_beside(held.level, element, t_m) {
+                continue;
+            }
+            let patch = if is_back { DARK_PATCH } else { element.patch_number };
             let hit = WalkHit { element: number, patch, t_m, is_back };
             all.add(hit, within_m);
             if element.is_finest() {
@@ -315,12 +329,40 @@ impl<'a> Walk<'a> {
             }
         }
         if !(all.is_mixed && has_finer && self.is_finer_there(held)) {
+            if all.hit.is_none() {
+                self.leave(held.level);
+            }
             return all.hit;
         }
         self.level = held.level - 1;
         self.met = nearer(self.met, finest.hit);
         self.limit_m = self.met.map_or(self.limit_m, |met| met.t_m.min(self.limit_m));
         None
+    }
+
+    /// The back of an element, whose plane the walk crosses at a length, ends at the start's own sheet: the walk goes by beside it.
+    fn is_beside(&self, level: u32, element: &ElementRow, t_m: f32) -> bool {
+        let (own, normal) = (self.line.normal, element.normal());
+        let sub_m = self.table.voxel_m / SUBS as f32 * (1_u32 << level) as f32;
+        let middle_m = ((self.place.tick >> level).as_vec3() + 0.5) * sub_m;
+        let reaches = 0.5 * sub_m * own.abs().element_sum();
+        // Along the back, away from the sheet.
+        let up = own - normal * own.dot(normal);
+        let rise = up.length_squared();
+        if own == Vec3::ZERO || own.dot(middle_m - self.line.from_m) > reaches || rise < BESIDE_RISE {
+            return false;
+        }
+        let on_m = self.line.from_m + self.line.direction * t_m + up * (BESIDE_SUBS * sub_m / rise);
+        let tick = (on_m * (SUBS as f32 / self.table.voxel_m)).floor().as_ivec3();
+        let Some(brick) = self.table.brick(level, tick >> (level + BRICK_SIZE)) else { return true };
+        let place = place_in_brick(tick >> (level + VOXEL_SIZE));
+        let Some(voxel) = self.table.voxel(brick, place) else { return true };
+        let [first, end] = [0, 1].map(|next| self.table.first_elements[voxel as usize + next] as usize);
+        let sub = sub_in_voxel(tick >> level);
+        let goes_on = |other: &ElementRow| {
+            other.is_backed() && has(other.bits, sub) && other.normal().dot(normal) > BESIDE_COSINE
+        };
+        !self.table.elements[first..end].iter().any(goes_on)
     }
 
     /// The brick of the level below is there.

@@ -287,7 +287,7 @@ fn walk_by_all(table: &VoxelTable, start: &Start, direction: Vec3) -> Option<Wal
                     }
                     let former = best.filter(|(best, _)| best[0] == way[0]);
                     let mut nearest = former.map_or(Nearest::default(), |(_, nearest)| nearest);
-                    let patch = if is_back { DARK_PATCH } else { element.patch };
+                    let patch = if is_back { DARK_PATCH } else { element.patch_number };
                     nearest.add(WalkHit { element: number, patch, t_m, is_back }, way);
                     best = Some((way, nearest));
                 }
@@ -339,4 +339,71 @@ fn walks_outside_all_bricks_see_the_sky_and_come_in_from_there() {
         assert_eq!(walk(&table, &Start::free(at_m), Vec3::NEG_Z, 0.1), None);
     }
     assert_eq!(walk(&VoxelTable::default(), &far, Vec3::NEG_Z, 0.1), None);
+}
+
+/// The outer side of a box, dark within.
+fn solid(half: DVec3, turn: DMat3) -> Vec<Facet> {
+    let inner = box_shell(half, turn).into_iter();
+    inner
+        .map(|facet| Facet {
+            corners: [facet.corners[0], facet.corners[2], facet.corners[1]],
+            is_backed: true,
+            ..facet
+        })
+        .collect()
+}
+
+/// The next face's dark back is in the sub-voxels of an edge, and hides nothing from this one.
+#[test]
+fn boxes_do_not_hide_the_open_from_their_own_faces() {
+    for turn in [DMat3::IDENTITY, odd_turn()] {
+        let facets = solid(DVec3::new(5.03, 7.31, 4.17) * H, turn);
+        let table = Scene::new(H, LEVELS, &facets).table();
+        let mut random = Random(29);
+        let mut rim = 0;
+        for _ in 0..50_000 {
+            let facet = &facets[(random.next() * facets.len() as f32) as usize];
+            let (at, normal, direction) =
+                (facet.point(&mut random), facet.normal().as_vec3(), random.direction());
+            let up = direction.dot(normal);
+            let out = if up < 0.0 { direction - normal * (2.0 * up) } else { direction };
+            let met = walk(&table, &Start::on(at, normal), out, 0.02 * random.next());
+            let Some(hit) = met else { continue };
+            assert!(!hit.is_back, "{at} {out}: {hit:?}");
+            rim += 1;
+        }
+        // Starts within a thirtieth of a millimetre of an edge are before both of its faces.
+        assert!(rim < 50_000 / 2000, "{rim}");
+    }
+}
+
+/// Likewise a wall's back, which stands on the start's own sheet, ends walks from its very foot.
+#[test]
+fn backs_that_stand_on_a_sheet_end_walks_that_start_at_their_foot() {
+    for turn in [DMat3::IDENTITY, odd_turn()] {
+        for shift in [0.0, 0.11, 0.24] {
+            let floor = sheet(
+                turn * DVec3::new(-1.0, -1.0, shift * H),
+                turn * DVec3::X * 2.0,
+                turn * DVec3::Y * 2.0,
+                0,
+            );
+            let mut wall =
+                sheet(turn * DVec3::new(0.013, 1.0, shift * H), turn * DVec3::Y * -2.0, turn * DVec3::Z, 1);
+            wall.iter_mut().for_each(|facet| facet.is_backed = true);
+            let back = wall[0].normal().as_vec3();
+            let table = Scene::new(H, LEVELS, &[floor, wall].concat()).table();
+            let mut random = Random(31);
+            for _ in 0..20_000 {
+                let away_m = 0.3 * H as f32 * random.next() + 1e-4;
+                let along = (turn * DVec3::new(0.013, f64::from(random.next() - 0.5), shift * H)).as_vec3();
+                let start = Start::on(along - back * away_m, (turn * DVec3::Z).as_vec3());
+                let up = start.normal.unwrap_or_default();
+                let aside = back.cross(up) * (random.next() - 0.5);
+                let direction = (back + up * (1.5 * random.next()) + aside).normalize();
+                let hit = walk(&table, &start, direction, 0.02);
+                assert!(hit.is_some_and(|hit| hit.is_back), "{shift} {direction}: {hit:?}");
+            }
+        }
+    }
 }
