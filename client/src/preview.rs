@@ -95,7 +95,7 @@ pub struct View {
     pub limit: Limit,
     /// Levels of detail; all of it without.
     pub lod: Option<Lod>,
-    /// Parts that are made by walks through voxels, of a bake that has some: by the processor.
+    /// Parts that are made by walks through voxels, of a bake that has some.
     pub walks: Walks,
     /// Most bytes of the adapter's memory that drawing takes; as many as there are without.
     pub adapter_bytes_max: Option<u64>,
@@ -185,8 +185,8 @@ impl View {
         }
         self.lod.as_ref().map_or(Ok(()), check_lod)?;
         self.fog.as_ref().map_or(Ok(()), Fog::check)?;
-        if self.walks.occlusion_m.is_some_and(|reach_m| !(reach_m.is_finite() && reach_m > 0.0)) {
-            return wrong("a reach of ambient occlusion".to_owned(), "is more than 0 m");
+        if let Some(problem) = self.walks.problem() {
+            return wrong("walks".to_owned(), problem);
         }
         check_scale(&self.emitter_scale)?;
         check_stances(scene, &self.objects)?;
@@ -280,14 +280,8 @@ type Views<'a> = (usize, &'a dyn Fn(usize) -> View);
 fn draw(bake: &LoadedBake, views: Views<'_>, backend: Backend, reel: &mut Reel<'_>) -> Result<()> {
     let room = room_of(bake, views)?;
     let bytes_max = (views.1)(0).adapter_bytes_max;
-    let walks = (0..views.0).any(|index| (views.1)(index).walks.any());
     let reason = match backend {
         Backend::Cpu => "as asked".to_owned(),
-        Backend::Gpu if walks => {
-            let problem = "does not walk through voxels yet: draw with --backend cpu, or auto".to_owned();
-            return Err(ClientError::Argument { what: "the graphics adapter".to_owned(), problem });
-        }
-        Backend::Auto if walks => "walks through voxels are its work".to_owned(),
         Backend::Gpu => return gpu::render(&Gpu::open_within(bytes_max)?, bake, (views, room), reel),
         Backend::Auto => match Gpu::open_within(bytes_max) {
             Ok(gpu) if gpu.software => format!("{} is software", gpu.name),

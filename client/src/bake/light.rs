@@ -3,9 +3,10 @@
 use std::fmt::Debug;
 
 use glam::Vec4;
+use lightkiln_proto::kinds::voxels::VoxelTable;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
-    LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, Sky,
+    LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, PatchTable, Sky,
 };
 
 use super::{FreeSpace, SettledWalks};
@@ -248,6 +249,11 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
+    /// Voxels, of a bake that has some, and the patches that they name.
+    fn voxels(&self) -> Option<(&VoxelTable, &PatchTable)> {
+        None
+    }
+
     /// The lightmap, where the kind has one.
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {
         let _ = scene;
@@ -358,6 +364,11 @@ pub trait LightPasses {
 
     /// The buffers that hold light at receivers; `None` for a kind without receivers.
     fn at_receivers(&self) -> Option<ReceiverBuffers<'_>> {
+        None
+    }
+
+    /// λ as of the last bounce; `None` for a kind without surface patches.
+    fn lambda(&self) -> Option<&wgpu::Buffer> {
         None
     }
 

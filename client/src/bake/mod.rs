@@ -24,7 +24,7 @@ pub use light::{
     DebugPage, IncomingDirect, Light, LightPasses, LightStream, LitScene, Overlay, ReceiverBuffers,
     ReceiverLight, SettledLight, SettledReceivers, Unshadowed, UnshadowedArrays,
 };
-pub use walks::SettledWalks;
+pub use walks::{SettledWalks, emitter_radiance};
 
 /// A whole bake, ready to be lit.
 #[derive(Debug)]

@@ -2,6 +2,7 @@
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::kinds::voxels::{VoxelTable, WalkLight};
+use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
 
 /// Voxels, and λ after the last bounce.
@@ -15,6 +16,19 @@ pub struct SettledWalks<'a> {
     pub lambda: Vec<Vec4>,
     /// Radiance of each emitter, W·m⁻²·sr⁻¹.
     pub emitters: Vec<Vec3>,
+}
+
+/// Radiance of each emitter of a bake in W·m⁻²·sr⁻¹, before its texture, from one factor each; 1 where absent.
+pub fn emitter_radiance(manifest: &Manifest, emitter_scale: &[f32]) -> Vec<Vec3> {
+    let mut emitters = vec![Vec3::ZERO; manifest.emitters.len()];
+    for material in &manifest.materials {
+        let Some(emitter) = material.emitter.map(usize::from) else { continue };
+        let scale = emitter_scale.get(emitter).copied().unwrap_or(1.0);
+        if let Some(radiance) = emitters.get_mut(emitter) {
+            *radiance = Vec3::from(material.emissive) * scale;
+        }
+    }
+    emitters
 }
 
 impl SettledWalks<'_> {

@@ -32,6 +32,7 @@ impl<'a> Frame<'a> {
         let passes = match self.passes_of(&bake) {
             Err(ClientError::AdapterFull { .. }) => {
                 (self.light, self.change) = (Box::new(Dark), None);
+                self.drop_walks();
                 self.gpu.let_go()?;
                 match self.passes_of(&bake) {
                     Err(error) => {
@@ -72,6 +73,7 @@ impl<'a> Frame<'a> {
         self.overlay = overlay;
         (self.light, self.change, self.bake) = (light, change, bake);
         self.drop_fog_pass();
+        self.drop_walks();
         self.plan_lod();
         if let Some(albedo) = self.bake.light.tinted_albedo(&self.bake.scene, &self.tints) {
             self.light.set_albedo(&self.gpu, &albedo);

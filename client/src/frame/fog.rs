@@ -38,10 +38,11 @@ impl Frame<'_> {
         Ok(FogNumbers::new(fog, &self.camera, &view, self.room.size, self.bounds_m))
     }
 
-    /// Draws the medium before the sample that was drawn last; none over colours that stand for light. Where there is no room for it, it is taken
+    /// Draws the medium before the sample that was drawn last; none over colours that stand for light, or over what walks from the eye meet. Where there is no room for it, it is taken
     /// away, and the error says so once.
     pub(super) fn draw_fog(&mut self, is_new_light: bool) -> Result<()> {
-        let Some(fog) = self.fog.filter(|_| self.overlay.is_none()) else { return Ok(()) };
+        let is_shown = self.overlay.is_none() && !self.walks.eye;
+        let Some(fog) = self.fog.filter(|_| is_shown) else { return Ok(()) };
         if self.fog_pass.is_none() {
             let made = self.fog_pass_of(&fog).inspect_err(|_| self.fog = None);
             self.fog_pass = Some(made?);

@@ -23,6 +23,7 @@ mod objects;
 mod overlay;
 #[cfg(test)]
 mod tests;
+mod walks;
 
 use std::sync::Arc;
 
@@ -42,6 +43,7 @@ use crate::passes::meshes::Meshes;
 use crate::passes::shade::{ShadePass, ShadeView, SurfaceDetails};
 use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
 use crate::passes::stopwatch::Stopwatch;
+use crate::passes::walk::Walks;
 use crate::picture::PassTime;
 use crate::scene::{Recolour, Stance, Tints, bounds_of};
 
@@ -79,6 +81,8 @@ pub struct Frame<'a> {
     fog_pass: Option<FogPass>,
     /// The view that the froxels are filled for, under light as it is.
     fog_filled: Option<FogNumbers>,
+    walks: Walks,
+    walking: Option<walks::Walking>,
     lod: Option<Lod>,
     has_lod: bool,
     lod_plan: Option<LodPlan>,
@@ -166,6 +170,8 @@ impl<'a> Frame<'a> {
             fog: None,
             fog_pass: None,
             fog_filled: None,
+            walks: Walks::default(),
+            walking: None,
             lod: None,
             has_lod: false,
             lod_plan: None,
@@ -324,7 +330,9 @@ impl<'a> Frame<'a> {
             }
             light.prepare_view(gpu, encoder, &view);
         });
-        self.shade.draw((gpu, &mut self.watch), &self.meshes, &self.shadow, &view);
+        let view = self.walk(view, jitter)?;
+        self.shade.draw((&self.gpu, &mut self.watch), &self.meshes, &self.shadow, &view);
+        self.draw_walks_of_eye();
         self.draw_fog(publishes)?;
         let gpu = &*self.gpu;
         gpu.poll(false)?;
@@ -338,6 +346,9 @@ impl<'a> Frame<'a> {
             self.shade.resize(&self.gpu, size)?;
             self.room = room;
             self.drop_fog_pass();
+            if let Some(walking) = &mut self.walking {
+                walking.forget_room();
+            }
             self.plan_lod();
         }
         Ok(())
@@ -427,6 +438,7 @@ impl<'a> Frame<'a> {
         let arrays = self.bake.light.unshadowed(light);
         self.light.set_unshadowed(&self.gpu, &arrays);
         self.shade.set_looks(&self.gpu, &self.bake.scene, &self.tints, &self.emitter_scale);
+        self.write_glows();
         // Light that nothing sends any more would fade for ever.
         let is_dark = self.casters.is_empty() && self.sky == Sky::default() && panorama.is_none();
         self.stale.light |= is_dark && arrays.emit.iter().all(|emit| *emit == Vec4::ZERO);

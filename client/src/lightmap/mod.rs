@@ -19,7 +19,7 @@ use wgpu::TextureViewDimension as Dimension;
 
 use crate::bake::{
     DebugPage, IncomingDirect, Light, LightPasses, LitScene, Overlay, ReceiverLight, SettledLight,
-    SettledReceivers, SettledWalks, Unshadowed, UnshadowedArrays,
+    SettledReceivers, SettledWalks, Unshadowed, UnshadowedArrays, emitter_radiance,
 };
 use crate::error::{ClientError, Result};
 use crate::passes::atlas::reference::{AtlasPages, read, spread};
@@ -135,18 +135,14 @@ impl<C: Columns> LightmapLight<C> {
 impl<C: ClientColumns> LightmapLight<C> {
     /// Voxels with the λ of the last bounce.
     pub fn walks(&self, lit: &LitScene<'_>, lambda: Vec<Vec4>) -> Option<SettledWalks<'_>> {
-        let (voxels, patches) = (self.voxels.as_ref()?, self.transport.columns.patches()?);
-        let manifest = &lit.scene.manifest;
-        let scales = lit.unshadowed.emitter_scale;
-        let mut emitters = vec![Vec3::ZERO; manifest.emitters.len()];
-        for material in &manifest.materials {
-            let Some(emitter) = material.emitter.map(usize::from) else { continue };
-            let scale = scales.get(emitter).copied().unwrap_or(1.0);
-            if let Some(radiance) = emitters.get_mut(emitter) {
-                *radiance = Vec3::from(material.emissive) * scale;
-            }
-        }
+        let (voxels, patches) = self.elements()?;
+        let emitters = emitter_radiance(&lit.scene.manifest, lit.unshadowed.emitter_scale);
         Some(SettledWalks { voxels, patches, lambda, emitters })
+    }
+
+    /// Its voxels, of a bake that has some, and the patches that they name.
+    pub fn elements(&self) -> Option<(&VoxelTable, &PatchTable)> {
+        Some((self.voxels.as_ref()?, self.transport.columns.patches()?))
     }
 
     /// Each of the finest patches in a colour of its own; grey where there is none.
@@ -281,6 +277,10 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
 
     fn count_lod(&self, plan: &LodPlan) -> Option<[LevelCount; LOD_LEVELS]> {
         Some(plan.counts(&self.transport.clusters))
+    }
+
+    fn voxels(&self) -> Option<(&VoxelTable, &PatchTable)> {
+        self.elements()
     }
 
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {

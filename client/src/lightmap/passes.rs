@@ -148,6 +148,10 @@ impl LightPasses for LightmapPasses {
         Some(ReceiverBuffers { direct, emit, indirect, count: *count, probes: None })
     }
 
+    fn lambda(&self) -> Option<&wgpu::Buffer> {
+        Some(&self.resident.lambda)
+    }
+
     fn bindings(&self) -> Vec<wgpu::BindingResource<'_>> {
         vec![wgpu::BindingResource::TextureView(&self.atlas.view), self.placements.as_entire_binding()]
     }

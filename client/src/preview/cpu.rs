@@ -5,10 +5,11 @@ use crate::bake::{SettledLight, SettledWalks};
 use crate::error::{ClientError, Result};
 use crate::passes::fog::FogNumbers;
 use crate::passes::fog::reference::Froxels;
+use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::{Lit, shade};
-use crate::passes::shade::{IndirectIrradiance, ShadeView};
 use crate::passes::shadow::reference::draw;
 use crate::passes::walk::reference::{Walked, seen};
+use crate::passes::walk::sample_identity;
 use crate::picture::{Exposure, Film, Picture};
 use crate::scene::LoadedScene;
 
@@ -17,17 +18,13 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
     let Prepared { bake, scene, bounds_m, view, plan, sky, lod } = prepared;
     let scene: &LoadedScene = scene;
     let maps = draw(scene, plan);
-    let SettledLight { indirect, walks, bounces, converged } =
+    let SettledLight { mut indirect, walks, bounces, converged } =
         bake.light.settle(&prepared.lit(&maps), view.limit);
-    if view.walks.any() && walks.is_none() {
+    if view.walks.asks_for_voxels() && walks.is_none() {
         let problem = "need a bake with voxels; bake it with --set voxels=on".to_owned();
         return Err(ClientError::Argument { what: "walks".to_owned(), problem });
     }
-    let walked = walks.as_ref().filter(|_| view.walks.any()).map(SettledWalks::light);
-    let mut indirect: Box<dyn IndirectIrradiance + '_> = match &walked {
-        Some(light) => Box::new(Walked { indirect, light, walks: view.walks }),
-        None => indirect,
-    };
+    let light = walks.as_ref().map(SettledWalks::light);
     let fog = view.fog.map(|fog| {
         let steady = ShadeView::new(&view.camera, view.size(), *bounds_m, *sky, [0.0; 2])?;
         let numbers = FogNumbers::new(&fog, &view.camera, &steady, view.size(), *bounds_m);
@@ -42,8 +39,11 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
         indirect.prepare_view(&shade_view, view.size());
         let (indirect, emitter_scale) = (&*indirect, &view.emitter_scale[..]);
         let panorama = view.panorama.as_deref();
-        let lit = Lit { scene, plan, maps: &maps, indirect, panorama, emitter_scale, fog: fog.as_ref() };
-        let radiance = match walked.as_ref().filter(|_| view.walks.eye) {
+        let (width, turn) = (view.width, sample_identity(jitter));
+        let walked = light.as_ref().map(|light| Walked { light, walks: view.walks, width, turn });
+        let (walked, fog) = (walked.as_ref(), fog.as_ref());
+        let lit = Lit { scene, plan, maps: &maps, indirect, panorama, emitter_scale, fog, walked };
+        let radiance = match light.as_ref().filter(|_| view.walks.eye) {
             Some(light) => seen(light, &shade_view, view.size()),
             None => shade(lit, &shade_view, view.size()),
         };

@@ -52,6 +52,7 @@ fn set(frame: &mut Frame<'_>, view: &View) -> Result<()> {
     frame.set_emitters(&view.emitter_scale)?;
     frame.set_fog(view.fog)?;
     frame.set_details(view.details);
+    frame.set_walks(view.walks)?;
     frame.set_objects(&view.objects)?;
     // A plan of the picture before would keep levels within their margin: each has its own, as the processor's.
     frame.set_lod(None)?;

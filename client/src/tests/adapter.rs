@@ -392,7 +392,8 @@ fn agree_on_a_picture(
     settled.indirect.prepare_view(&shade_view, view.size());
     let (indirect, emitter_scale) = (&*settled.indirect, &view.emitter_scale[..]);
     let panorama = view.panorama.as_deref();
-    let lit = Lit { scene, plan: &prepared.plan, maps, indirect, panorama, emitter_scale, fog: None };
+    let lit =
+        Lit { scene, plan: &prepared.plan, maps, indirect, panorama, emitter_scale, fog: None, walked: None };
     let wanted = shade::reference::shade(lit, &shade_view, view.size());
     held("shade", &Difference::of_mean(&got, &wanted, shade::TOLERANCE), shade::OUTLIERS);
     let sky = |pixels: &[Vec4]| pixels.iter().filter(|pixel| pixel.w < 0.5).count();

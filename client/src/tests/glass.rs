@@ -94,6 +94,7 @@ fn middle(draws: &[Draw], sky: Sky) -> Vec4 {
         panorama: None,
         emitter_scale: &[],
         fog: None,
+        walked: None,
     };
     let view = ShadeView::new(&camera, [32, 24], BOUNDS_M, sky, [0.0; 2]).unwrap();
     shade(lit, &view, [32, 24])[12 * 32 + 16]

@@ -5,6 +5,7 @@ use std::fs;
 use std::mem::offset_of;
 use std::path::Path;
 
+use lightkiln_proto::kinds::voxels::{BrickRow, ElementRow};
 use lightkiln_proto::relight::{Column, Detail, LodView, NearHit, NearRow, OwnSurface, PatchRow, StandIn};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Statement, TypeInner};
@@ -25,6 +26,7 @@ use crate::passes::resident::ClusterRow;
 use crate::passes::shade::{PanoramaNumbers, ShadeDraw, ShadeView, Shading};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::show::ShowNumbers;
+use crate::passes::walk::{self, WalkNumbers, WalkPixels};
 use crate::web;
 
 /// Every shader: name and whole source, as the adapter compiles it.
@@ -37,8 +39,12 @@ fn shaders() -> Vec<(&'static str, String)> {
         ("shade with a lattice alone", with(field::LATTICE_ALONE)),
         ("shade with tetrahedra alone", with(field::TETRAHEDRA_ALONE)),
     ];
-    let others =
-        [("relight", relight::SHADER), ("dering", field::DERING_SHADER), ("fog-over", fog::OVER_SHADER)];
+    let others = [
+        ("relight", relight::SHADER),
+        ("dering", field::DERING_SHADER),
+        ("fog-over", fog::OVER_SHADER),
+        ("walk", walk::SHADER),
+    ];
     let fogs = [fog::NO_RADIANCE, field::LATTICE_MEDIUM, field::TETRAHEDRA_MEDIUM];
     let fogs = fogs.map(|radiance| ("fog", [fog::FILL_SHADER, radiance].concat()));
     of_browsers
@@ -96,8 +102,16 @@ fn copies(module: &naga::Module, of: &str, within: &naga::Function) -> usize {
 /// Adapters that run on the processor compile each copy for seconds: pictures wait for them.
 #[test]
 fn look_ups_are_inlined_once() {
-    const LONG: [&str; 6] =
-        ["visibility", "is_behind", "from_probes", "with_probe", "lightmap_irradiance", "microfacets"];
+    const LONG: [&str; 8] = [
+        "visibility",
+        "is_behind",
+        "from_probes",
+        "with_probe",
+        "lightmap_irradiance",
+        "microfacets",
+        "end_of",
+        "met_at",
+    ];
     let mut seen = BTreeMap::new();
     for (name, source) in shaders() {
         let module = parsed(&source);
@@ -186,6 +200,14 @@ macro_rules! twins {
 /// The Rust twin of every struct that a shader reads or writes through a binding, by its name in WGSL.
 fn twins() -> BTreeMap<&'static str, Layout> {
     twins! {
+        "BrickRow": BrickRow { cell, level }
+        "ElementRow": ElementRow { normal, height_m, bits, patch_number, marks }
+        "Pixels": WalkPixels {
+            size, cells, step, turn, reflections, occlusion, irradiance, reach_m, pad, world_from_clip
+        }
+        "Voxels": WalkNumbers {
+            low, top, high, finest, voxel_m, levels, slot_last, first_of_sky, sky_parts, first_direction, bricks, pad
+        }
         "Atlas": AtlasNumbers { texel_count, stride }
         "AtlasTexel": AtlasTexel { x, y, first, packed, kind }
         "Basis": BasisNumbers { stride, cluster_count, first_cluster }

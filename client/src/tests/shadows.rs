@@ -191,6 +191,7 @@ fn hardly_a_pixel_of_a_shut_room_is_lit_from_outside() {
             panorama: None,
             emitter_scale: &[],
             fog: None,
+            walked: None,
         };
         let view = ShadeView::new(&camera, [400, 300], bounds_m, Sky::default(), [0.0; 2]).unwrap();
         for (index, pixel) in shade(lit, &view, [400, 300]).into_iter().enumerate() {

@@ -20,6 +20,7 @@ use crate::passes::gpu::Gpu;
 use crate::passes::meter::MeterPass;
 use crate::passes::shadow::ShadowRoom;
 use crate::passes::show::{ShowPass, ShowSum};
+use crate::passes::walk::Walks;
 use crate::picture::{Exposure, PassTime, Tone};
 use crate::preview::{View, jitters};
 use crate::scene::Recolour;
@@ -91,6 +92,8 @@ impl Viewer {
         frame.set_emitters(&edits.emitters)?;
         frame.set_fog(edits.fog)?;
         frame.set_details(edits.details);
+        // Windows accumulate: a quarter of the pixels walk in each sample.
+        frame.set_walks(Walks { step: 2, ..view.walks })?;
         frame.set_materials(&edits.recolours())?;
         frame.set_objects(&edits.stances())?;
         frame.set_lod(edits.lod)?;

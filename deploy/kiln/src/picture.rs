@@ -55,7 +55,7 @@ pub struct LookArguments {
     #[arg(long, value_name = "FOG", value_parser = parse_fog, help_heading = "Picture")]
     fog: Option<Fog>,
     /// Ambient occlusion within so many metres: bounced light is less where walks through voxels meet something near. Of bakes with
-    /// voxels=on, drawn by the processor
+    /// voxels=on
     #[arg(long, value_name = "METRES", help_heading = "Picture")]
     ao: Option<f32>,
     /// Normal maps of materials; off shows the surfaces that light is baked for, as the path tracer has them

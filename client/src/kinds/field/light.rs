@@ -2,6 +2,7 @@
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::kinds::field::{Between, FieldTable, NO_PROBE, PROBE_ROWS};
+use lightkiln_proto::kinds::voxels::VoxelTable;
 use lightkiln_proto::relight::{
     Columns, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, PatchTable, Settled,
 };
@@ -204,6 +205,10 @@ impl Light for FieldLight {
 
     fn free_space(&self) -> Option<&dyn FreeSpace> {
         Some(&self.field)
+    }
+
+    fn voxels(&self) -> Option<(&VoxelTable, &PatchTable)> {
+        self.lightmap.elements()
     }
 
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {

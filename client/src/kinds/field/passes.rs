@@ -245,6 +245,10 @@ impl LightPasses for FieldPasses {
         Some(ReceiverBuffers { probes, ..self.lightmap.at_receivers()? })
     }
 
+    fn lambda(&self) -> Option<&wgpu::Buffer> {
+        self.lightmap.lambda()
+    }
+
     fn bindings(&self) -> Vec<wgpu::BindingResource<'_>> {
         let mut bindings = self.lightmap.bindings();
         bindings.extend([&self.numbers, &self.probes, &self.rows].map(wgpu::Buffer::as_entire_binding));

@@ -126,5 +126,10 @@ fn over_pipeline(gpu: &Gpu, layout: &wgpu::BindGroupLayout) -> wgpu::RenderPipel
         alpha: part(wgpu::BlendFactor::Zero, wgpu::BlendFactor::One),
     };
     let layout = gpu.pipeline_layout(&[layout]);
-    whole_pipeline(gpu, &layout, (&module, "over"), (wgpu::TextureFormat::Rgba32Float, Some(blend)))
+    whole_pipeline(
+        gpu,
+        &layout,
+        (&module, ["whole", "over"]),
+        (wgpu::TextureFormat::Rgba32Float, Some(blend)),
+    )
 }

@@ -3,17 +3,22 @@
 mod gpu;
 mod indirect;
 pub mod lamps;
+mod looks;
 mod normals;
 mod panes;
 mod panorama;
+mod pipelines;
 pub mod reference;
 pub mod specular;
+mod starts;
 pub mod surface;
 mod view;
 
-pub use gpu::{ShadeDraw, ShadePass, details_of};
+pub use gpu::ShadePass;
 pub use indirect::{IndirectIrradiance, Shading};
+pub use looks::{ShadeDraw, details_of};
 pub use panorama::{PANORAMA_SHADER, PanoramaNumbers};
+pub use starts::StartTextures;
 pub use surface::Surface;
 pub use view::{ShadeView, SurfaceDetails};
 
@@ -23,11 +28,14 @@ pub const SHADER: &str = concat!(
     include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
     include_str!("../shared/glass.wgsl"),
+    include_str!("../shared/octahedral.wgsl"),
     include_str!("view.wgsl"),
     include_str!("normals.wgsl"),
     include_str!("specular.wgsl"),
     include_str!("lamps.wgsl"),
-    include_str!("shade.wgsl")
+    include_str!("walked.wgsl"),
+    include_str!("shade.wgsl"),
+    include_str!("start.wgsl")
 );
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read
 /// textures with 8-bit weights and derive facet normals and mip levels from neighbouring pixels.

@@ -5,7 +5,7 @@ use lightkiln_proto::relight::{Panorama, PanoramaImage};
 use std::sync::Arc;
 use wgpu::ShaderStages as Stages;
 
-use super::gpu::{Program, behind, render_pipeline};
+use super::pipelines::{Program, behind, render_pipeline};
 use crate::error::Result;
 use crate::passes::gpu::{Gpu, failed, texture, uniform};
 

@@ -15,6 +15,7 @@ use crate::lights::Panorama;
 use crate::passes::fog::reference::Froxels;
 use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, masked_out};
+use crate::passes::walk::reference::{Found, Walked};
 use crate::raster::{ScreenTriangle, projected, set_up};
 use crate::scene::LoadedScene;
 
@@ -40,6 +41,8 @@ pub struct Lit<'a> {
     pub emitter_scale: &'a [f32],
     /// A medium between surfaces.
     pub fog: Option<&'a Froxels>,
+    /// Parts that walks make.
+    pub walked: Option<&'a Walked<'a>>,
 }
 
 /// A triangle on the screen and its draw.
@@ -86,6 +89,8 @@ fn blend_over(
     depth: &[f32],
     pixels: &mut [Vec4],
 ) {
+    // Walks are of what is behind.
+    let lit = Lit { walked: None, ..lit };
     for drawn in panes {
         drawn.triangle.rasterise(width, rows.clone(), |x, y, fragment| {
             let pixel = ((y - rows.start) * width + x) as usize;
@@ -164,10 +169,12 @@ fn radiance(lit: Lit<'_>, view: &ShadeView, drawn: &Drawn, [x, y]: [f64; 2]) -> 
     let eye = view.towards_eye(surface.position);
     let gloss = Gloss::of(shaded.albedo, shaded.metallic_roughness, surface.towards, eye);
     let seen = seen_light((lit.plan, lit.maps), surface, view.before(surface.position), &gloss);
-    let diffuse = shaded.albedo * gloss.diffuse / PI * (seen.irradiance + about(surface.towards));
-    let mut own = shaded.emission + diffuse;
+    let found = lit.walked.map_or(Found::NOTHING, |walked| walked.at([x as u32, y as u32], surface, &gloss));
+    let indirect = found.irradiance.unwrap_or_else(|| about(surface.towards)) * found.open;
+    let mut own = shaded.emission + shaded.albedo * gloss.diffuse / PI * (seen.irradiance + indirect);
     if gloss.is_specular() {
-        own += seen.reflected + gloss.reflectance / PI * about(gloss.lobe);
+        let mean = found.reflected.unwrap_or_else(|| about(gloss.lobe) * (found.open / PI));
+        own += seen.reflected + gloss.reflectance * mean;
     }
     own.extend(shaded.stopped)
 }

@@ -102,6 +102,16 @@ struct Corner {
     @location(4) lightmap_texel: vec2f,
 }
 
+// A drawn point and its material.
+struct Met {
+    surface: Surface,
+    albedo: vec3f,
+    emission: vec3f,
+    // Share of light that it stops.
+    stopped: f32,
+    gloss: Gloss,
+}
+
 // Change from a pixel to the next.
 struct Step {
     position: vec3f,
@@ -125,12 +135,6 @@ fn before(position: vec3f) -> vec3f {
     return position - ray_to(clip) * (BEFORE_PIXELS * view.ray_per_y.w * clip.w);
 }
 
-// World direction of the view through a point in clip space.
-fn ray_to(clip: vec4f) -> vec3f {
-    let ndc = clip.xy / clip.w;
-    return view.ray.xyz + view.ray_per_x.xyz * ndc.x + view.ray_per_y.xyz * ndc.y;
-}
-
 // Lightmap coordinates of the point of the surface's plane that is nearest to `before`: it lies on the seen side of a texel's edge too,
 // which is rounded, as a floor's at a wall's foot. Steps are those of the screen's pixels.
 fn texel_before(corner: Corner, step_x: Step, step_y: Step) -> vec2f {
@@ -146,8 +150,8 @@ fn texel_before(corner: Corner, step_x: Step, step_y: Step) -> vec2f {
     return corner.lightmap_texel + steps.x * step_x.texel + steps.y * step_y.texel;
 }
 
-@fragment
-fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+// What is drawn of a corner, if anything.
+fn met_at(corner: Corner, front: bool) -> Met {
     let base_uv = mapped(draw.base_row0, draw.base_row1, corner.uv);
     let emissive_uv = mapped(draw.emissive_row0, draw.emissive_row1, corner.uv);
     let step_x = Step(dpdx(corner.position), dpdx(corner.lightmap_texel));
@@ -194,16 +198,39 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     let texel = corner.lightmap_texel;
     let lightmap_before = texel_before(corner, step_x, step_y);
     let surface = Surface(corner.position, normal, facet, towards, gloss.lobe, draw.index, front, texel, lightmap_before);
+    return Met(surface, rho, glow, met.share, gloss);
+}
+
+@fragment
+fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    let met = met_at(corner, front);
+    let surface = met.surface;
+    let gloss = met.gloss;
     let indirect = indirect_irradiance(surface);
     if view.horizon.w == 1.0 {
-        return vec4f(indirect.towards, met.share);
+        return vec4f(indirect.towards, met.stopped);
+    }
+    var diffuse = indirect.towards;
+    var reflected = gloss.reflectance * (1.0 / PI) * indirect.lobe;
+    let parts = u32(view.ray_per_x.w);
+    if parts != 0u {
+        let clip = view.clip_from_world * vec4f(surface.position, 1.0);
+        let own = walked_at(corner.clip.xy, surface, WALKED_PIXELS * view.ray_per_y.w * clip.w);
+        if own.weight > 0.0 {
+            diffuse = select(diffuse, own.irradiance, (parts & 4u) != 0u);
+            if (parts & 2u) != 0u {
+                diffuse *= own.open;
+                reflected *= own.open;
+            }
+            reflected = select(reflected, gloss.reflectance * own.reflected, (parts & 1u) != 0u);
+        }
     }
     let seen = seen_light(surface, before(surface.position), gloss);
-    var radiance = glow + rho * gloss.diffuse * (1.0 / PI) * (seen.irradiance + indirect.towards);
+    var radiance = met.emission + met.albedo * gloss.diffuse * (1.0 / PI) * (seen.irradiance + diffuse);
     if HAS_GLOSS {
-        radiance += seen.reflected + gloss.reflectance * (1.0 / PI) * indirect.lobe;
+        radiance += seen.reflected + reflected;
     }
-    return vec4f(radiance, met.share);
+    return vec4f(radiance, met.stopped);
 }
 
 @fragment

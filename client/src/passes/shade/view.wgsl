@@ -9,6 +9,7 @@ struct ShadeView {
     horizon: vec4f,
     // World direction through the picture's middle, then 1 where normal maps are left out; its change per unit of ndc x and y.
     ray: vec4f,
+    // w of the former: parts of light that walks make, a bit each: 1 reflections, 2 occlusion, 4 irradiance.
     ray_per_x: vec4f,
     // w: side of a pixel in metres where clip w is 1.
     ray_per_y: vec4f,
@@ -25,6 +26,12 @@ fn sky_corner(@builtin(vertex_index) index: u32) -> SkyCorner {
     let ndc = vec2f(f32(index & 1u), f32(index >> 1u)) * 4.0 - 1.0;
     let ray = view.ray.xyz + view.ray_per_x.xyz * ndc.x + view.ray_per_y.xyz * ndc.y;
     return SkyCorner(vec4f(ndc, 0.0, 1.0), ray);
+}
+
+// World direction of the view through a point in clip space.
+fn ray_to(clip: vec4f) -> vec3f {
+    let ndc = clip.xy / clip.w;
+    return view.ray.xyz + view.ray_per_x.xyz * ndc.x + view.ray_per_y.xyz * ndc.y;
 }
 
 // Radiance of the gradient in a unit direction.

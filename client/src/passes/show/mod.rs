@@ -70,7 +70,8 @@ impl ShowPass {
         };
         let blend = wgpu::BlendState { color: one, alpha: one };
         let groups = gpu.pipeline_layout(&[&layout]);
-        let pipeline = |entry, format, blend| whole_pipeline(gpu, &groups, (&module, entry), (format, blend));
+        let pipeline =
+            |entry, format, blend| whole_pipeline(gpu, &groups, (&module, ["whole", entry]), (format, blend));
         let bytes = size_of::<ShowNumbers>() as u64;
         Self {
             add: pipeline("add", SUM, Some(blend)),
@@ -185,15 +186,15 @@ fn whole(
 pub(in crate::passes) fn whole_pipeline(
     gpu: &Gpu,
     layout: &wgpu::PipelineLayout,
-    (module, entry): (&wgpu::ShaderModule, &str),
+    (module, [vertex, fragment]): (&wgpu::ShaderModule, [&str; 2]),
     (format, blend): (wgpu::TextureFormat, Option<wgpu::BlendState>),
 ) -> wgpu::RenderPipeline {
     gpu.render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(entry),
+        label: Some(fragment),
         layout: Some(layout),
         vertex: wgpu::VertexState {
             module,
-            entry_point: Some("whole"),
+            entry_point: Some(vertex),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             buffers: &[],
         },
@@ -202,7 +203,7 @@ pub(in crate::passes) fn whole_pipeline(
         multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
             module,
-            entry_point: Some(entry),
+            entry_point: Some(fragment),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             targets: &[Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })],
         }),

@@ -2,53 +2,64 @@
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::kinds::voxels::{
-    Bundle, IRRADIANCE_WALKS, OCCLUSION_WALKS, Seen, Start, WalkLight, ambient_occlusion, irradiance, walk,
+    Bundle, IRRADIANCE_WALKS, OCCLUSION_WALKS, REFLECTION_WALKS, Seen, Start, WalkLight, ambient_occlusion,
+    irradiance, reflection, walk,
 };
 use rayon::prelude::*;
 
 use super::Walks;
-use crate::passes::shade::{IndirectIrradiance, ShadeView, Surface};
+use crate::passes::shade::specular::Gloss;
+use crate::passes::shade::{ShadeView, Surface};
 
-/// Indirect light of a bake as walks change it.
+/// Walks of the pixels of a sample.
+#[derive(Clone, Copy, Debug)]
 pub struct Walked<'a> {
-    /// Of the bake.
-    pub indirect: Box<dyn IndirectIrradiance + 'a>,
-    /// Light of its elements.
+    /// Light of the elements.
     pub light: &'a WalkLight<'a>,
     /// Parts that walks make.
     pub walks: Walks,
+    /// Columns of the picture.
+    pub width: u32,
+    /// Identity of the sample, see [`super::sample_identity`].
+    pub turn: u32,
 }
 
-impl IndirectIrradiance for Walked<'_> {
-    fn prepare_view(&mut self, view: &ShadeView, size: [u32; 2]) {
-        self.indirect.prepare_view(view, size);
-    }
-
-    fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
-        let (table, start) = (self.light.table(), Start::on(surface.position, surface.facet));
-        let bundle = |walks: u32| Bundle::new(walks, identity(surface.position));
-        let found = if self.walks.irradiance {
-            let bundle = bundle(IRRADIANCE_WALKS);
-            irradiance(table, &start, surface.normal, &bundle, |seen| self.light.radiance(seen))
-        } else {
-            self.indirect.indirect_irradiance(surface)
-        };
-        let open =
-            |reach_m| ambient_occlusion(table, &start, surface.normal, &bundle(OCCLUSION_WALKS), reach_m);
-        found * self.walks.occlusion_m.map_or(1.0, open)
-    }
-
-    fn mean_radiance(&self, point: Vec3) -> Vec3 {
-        self.indirect.mean_radiance(point)
-    }
+/// What the walks of a pixel find.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// Mean radiance of what is reflected; `None` without walks for it.
+    pub reflected: Option<Vec3>,
+    /// Share that is open; 1 without walks for it.
+    pub open: f32,
+    /// Irradiance; `None` without walks for it.
+    pub irradiance: Option<Vec3>,
 }
 
-/// Identity of a point, by which its directions are shifted.
-fn identity(position: Vec3) -> u32 {
-    position
-        .to_array()
-        .iter()
-        .fold(0, |hash, axis| (hash ^ axis.to_bits()).wrapping_mul(0x9e37_79b1).rotate_left(13))
+impl Found {
+    /// No walks.
+    pub const NOTHING: Self = Self { reflected: None, open: 1.0, irradiance: None };
+}
+
+impl Walked<'_> {
+    /// At a surface in a pixel.
+    pub(in crate::passes) fn at(&self, [x, y]: [u32; 2], surface: &Surface, gloss: &Gloss) -> Found {
+        let Self { light, walks, width, turn } = self;
+        let (table, start) = (light.table(), Start::on(surface.position, surface.facet));
+        let identity = (x + width * y).wrapping_add(*turn);
+        let normal = surface.towards;
+        let radiance = |seen: &Seen| light.radiance(seen);
+        let reflected = (walks.reflections && gloss.is_specular()).then(|| {
+            let bundle = Bundle::new(REFLECTION_WALKS, identity);
+            reflection(table, &start, (normal, gloss.eye, gloss.alpha), &bundle, radiance)
+        });
+        let open = walks.occlusion_m.map_or(1.0, |reach_m| {
+            ambient_occlusion(table, &start, normal, &Bundle::new(OCCLUSION_WALKS, identity), reach_m)
+        });
+        let irradiance = walks
+            .irradiance
+            .then(|| irradiance(table, &start, normal, &Bundle::new(IRRADIANCE_WALKS, identity), radiance));
+        Found { reflected, open, irradiance }
+    }
 }
 
 /// Radiance along the rays of a view's pixels, row after row: that of the elements that walks half a pixel wide meet, alpha 1; or of
