@@ -2,7 +2,7 @@
 //! needs and runs it.
 //!
 //! Arguments name parts (`stores`, `plans`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`,
-//! `relight`, `field`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
+//! `relight`, `field`, `walks`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
 //! keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
@@ -25,10 +25,11 @@ mod report;
 mod scale;
 mod scenes;
 mod stores;
+mod walks;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 12] = [
+const PARTS: [(&str, fn()); 13] = [
     ("stores", stores::measure),
     ("plans", plans::measure),
     ("queue", queue::measure),
@@ -41,6 +42,7 @@ const PARTS: [(&str, fn()); 12] = [
     ("bakes", bakes::measure),
     ("relight", relight::measure),
     ("field", field::measure),
+    ("walks", walks::measure),
 ];
 
 fn main() {
