@@ -24,6 +24,7 @@ mod scales;
 pub mod shapes;
 mod stripes;
 pub mod texture;
+mod turn;
 
 pub use atrium::atrium;
 pub use contact::{
@@ -46,6 +47,7 @@ pub use stripes::{
     BORDER_SHEET_M, CREST_M, FLOOR_BORDERS_M, PANELS_BORDER_M, PARTING_M, STRIP_M, STRIPE_BORDERS_M,
     bent_panel, floor_through_a_wall, hollow_at_a_border, panel_through_a_wall, parted_floor, striped_wall,
 };
+pub use turn::turned;
 
 /// Every stored scene: file name without extension, and the bytes of its `.glb`.
 pub fn all() -> Vec<(&'static str, Vec<u8>)> {

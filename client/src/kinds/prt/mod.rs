@@ -1,12 +1,13 @@
 //! Relightable light over surface patches.
 
+mod base;
 mod memory;
 mod only;
 mod stream;
 
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
-use lightkiln_proto::kinds::voxels::{VOXELS, VoxelTable, decode_voxels};
+use lightkiln_proto::kinds::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{Inconsistent, NO_PATCH, PatchTable};
@@ -68,7 +69,11 @@ pub fn load(source: &Source, scene: &LoadedScene) -> Result<LightmapLight<PatchT
 
 /// Fetches and decodes the voxels of a bake that has some.
 pub fn voxels(source: &Source, manifest: &Manifest, patches: &PatchTable) -> Result<Option<VoxelTable>> {
-    let parts = decoded(source, manifest, VOXELS, |bytes| Ok(decode_voxels(bytes)?))?;
+    joined(&decoded(source, manifest, VOXELS, |bytes| Ok(decode_voxels(bytes)?))?, patches)
+}
+
+/// Elements of parts that have come, if any.
+fn joined(parts: &[VoxelPart], patches: &PatchTable) -> Result<Option<VoxelTable>> {
     if parts.is_empty() {
         return Ok(None);
     }

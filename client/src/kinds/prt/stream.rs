@@ -7,11 +7,12 @@ use lightkiln_proto::chunk;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, PatchSet, Texel};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::prt::PATCHES;
-use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, Manifest, OVERVIEW};
+use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{Limit, PatchTable, stand_in};
 use rayon::prelude::*;
 
-use super::memory::{base_memory, rung_memory};
+use super::base::Base;
+use super::memory::rung_memory;
 use super::one_of;
 use super::only::{names, only};
 use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
@@ -25,7 +26,7 @@ use crate::stream::{Baked, Budget, Candidate, Lit, Plan, Rung, Streamed, Viewpoi
 #[derive(Debug)]
 pub struct PrtStream {
     set: PatchSet,
-    overview: Vec<ClusterTransport>,
+    base: Base,
     /// First bytes of chunks, whole layers each, verified and decoded once; by their number in the manifest.
     clusters: BTreeMap<usize, Vec<u8>>,
     /// Those of them of which layers came for this view.
@@ -42,16 +43,16 @@ pub struct PrtStream {
 }
 
 impl PrtStream {
-    /// Fetches patches and overview.
+    /// Fetches patches, overview and voxels.
     pub fn begin(source: &Source, manifest: &Manifest) -> Result<Self> {
         let sets = decoded(source, manifest, PATCHES, |bytes| Ok(chunk::decode_patches(bytes)?))?;
         let set = one_of(&sets)?.clone();
-        let overview = overview_of(source, manifest)?;
+        let base = Base::fetch(source, manifest)?;
         let mut stream = Self {
-            base_bytes: base_bytes(manifest),
-            base_memory: base_memory(&set, &overview),
+            base_bytes: Base::bytes(manifest),
+            base_memory: base.memory(&set),
             set,
-            overview,
+            base,
             clusters: BTreeMap::new(),
             fresh: BTreeSet::new(),
             lost: BTreeSet::new(),
@@ -74,7 +75,7 @@ impl PrtStream {
         }
         let there: HashSet<(BlockKey, Texel)> = contents.iter().flat_map(names).collect();
         let rest = |cluster| only(cluster, |name| !there.contains(&name));
-        contents.extend(self.overview.iter().filter_map(rest));
+        contents.extend(self.base.overview.iter().filter_map(rest));
         LightmapLight::assemble_some(
             scene,
             &contents,
@@ -112,7 +113,9 @@ impl LightStream for PrtStream {
     }
 
     fn light(&self, scene: &LoadedScene, manifest: &Manifest) -> Result<Box<dyn Light>> {
-        Ok(Box::new(self.assembled(scene, manifest)?))
+        let mut light = self.assembled(scene, manifest)?;
+        light.voxels = self.base.voxels(&light.transport.columns)?;
+        Ok(Box::new(light))
     }
 
     fn grown(&mut self, manifest: &Manifest, baked: Baked) {
@@ -122,9 +125,9 @@ impl LightStream for PrtStream {
     }
 
     fn ended(&mut self, source: &Source, before: &Manifest, manifest: &Manifest) -> Result<()> {
-        self.overview = overview_of(source, manifest)?;
-        self.base_bytes = base_bytes(manifest);
-        self.base_memory = base_memory(&self.set, &self.overview);
+        self.base = Base::fetch(source, manifest)?;
+        self.base_bytes = Base::bytes(manifest);
+        self.base_memory = self.base.memory(&self.set);
         let numbers: BTreeMap<Digest, usize> =
             manifest.chunks(CLUSTERS).iter().map(|chunk| chunk.digest).zip(0..).collect();
         let number = |index: usize| numbers.get(&before.chunks(CLUSTERS).get(index)?.digest).copied();
@@ -312,22 +315,6 @@ fn places(light: &dyn Light, lit: &LitScene<'_>, limit: Limit) -> Vec<Lit> {
     lightmap.receivers.position_m.iter().zip(emit).zip(indirect).map(place).collect()
 }
 
-/// The overview; none of a bake under way.
-fn overview_of(source: &Source, manifest: &Manifest) -> Result<Vec<ClusterTransport>> {
-    let overview: Vec<ClusterTransport> =
-        decoded(source, manifest, OVERVIEW, |bytes| Ok(chunk::decode_cluster(bytes)?))?;
-    if overview.iter().any(|cluster| !cluster.near.is_empty()) {
-        let problem = "has near hits, which clusters of an overview have not";
-        return Err(ClientError::inconsistent(OVERVIEW, problem));
-    }
-    Ok(overview)
-}
-
-/// Bytes of what always stays.
-fn base_bytes(manifest: &Manifest) -> u64 {
-    [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum()
-}
-
 /// A cluster of a manifest, whose directory has a row for each chunk.
 fn layers_of(manifest: &Manifest, cluster: usize) -> Layers<'_> {
     Layers { cluster, row: &manifest.clusters[cluster], chunk: &manifest.chunks(CLUSTERS)[cluster] }
@@ -336,6 +323,7 @@ fn layers_of(manifest: &Manifest, cluster: usize) -> Layers<'_> {
 #[cfg(test)]
 mod tests {
     use lightkiln_proto::kinds::prt as prt_kind;
+    use lightkiln_proto::manifest::OVERVIEW;
 
     use super::*;
     use crate::bake::LoadedBake;
