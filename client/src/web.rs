@@ -28,5 +28,5 @@ pub const SITE: &str = "alone.html";
 pub fn shaders() -> Vec<(&'static str, Cow<'static, str>)> {
     let whole = SHADERS.iter().chain(&OF_BROWSERS).map(|(name, text)| (*name, Cow::Borrowed(*text)));
     let shade = Shading { snippet: INDIRECT, bindings: Vec::new() };
-    whole.chain([("shade", Cow::Owned(shade.shader()))]).collect()
+    whole.chain([("shade", Cow::Owned(shade.shader_without_walks()))]).collect()
 }

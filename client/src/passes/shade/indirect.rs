@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{SHADER, ShadeView, Surface};
+use super::{LIGHTS, SHADER, ShadeView, Surface, UNWALKED, WALKED};
 
 /// Indirect light on the processor.
 pub trait IndirectIrradiance: Sync {
@@ -36,6 +36,11 @@ pub struct Shading {
 impl Shading {
     /// The whole shader.
     pub fn shader(&self) -> String {
-        [SHADER, self.snippet].concat()
+        [LIGHTS, WALKED, SHADER, self.snippet].concat()
+    }
+
+    /// The whole shader where nothing walks through voxels, as in browsers.
+    pub fn shader_without_walks(&self) -> String {
+        [LIGHTS, UNWALKED, SHADER, self.snippet].concat()
     }
 }

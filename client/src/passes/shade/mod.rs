@@ -22,8 +22,8 @@ pub use starts::StartTextures;
 pub use surface::Surface;
 pub use view::{ShadeView, SurfaceDetails};
 
-/// The shader, with the lights' part in front; [`Shading::shader`] adds indirect light.
-pub const SHADER: &str = concat!(
+/// The shader's part before what walks found, [`WALKED`] or [`UNWALKED`], and [`SHADER`].
+const LIGHTS: &str = concat!(
     include_str!("../shared/light.wgsl"),
     include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
@@ -32,11 +32,13 @@ pub const SHADER: &str = concat!(
     include_str!("view.wgsl"),
     include_str!("normals.wgsl"),
     include_str!("specular.wgsl"),
-    include_str!("lamps.wgsl"),
-    include_str!("walked.wgsl"),
-    include_str!("shade.wgsl"),
-    include_str!("start.wgsl")
+    include_str!("lamps.wgsl")
 );
+/// What walks found, with its bindings; and where nothing walks.
+const WALKED: &str = include_str!("walked.wgsl");
+const UNWALKED: &str = include_str!("unwalked.wgsl");
+/// The shader; [`Shading::shader`] adds indirect light.
+const SHADER: &str = concat!(include_str!("shade.wgsl"), include_str!("start.wgsl"));
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read
 /// textures with 8-bit weights and derive facet normals and mip levels from neighbouring pixels.
 pub const TOLERANCE: f32 = 2e-2;
