@@ -41,7 +41,7 @@ impl Frame<'_> {
     /// Draws the medium before the sample that was drawn last; none over colours that stand for light, or over what walks from the eye meet. Where there is no room for it, it is taken
     /// away, and the error says so once.
     pub(super) fn draw_fog(&mut self, is_new_light: bool) -> Result<()> {
-        let is_shown = self.overlay.is_none() && !self.walks.eye;
+        let is_shown = self.overlay.is_none() && !self.walks_now().is_some_and(|walks| walks.eye);
         let Some(fog) = self.fog.filter(|_| is_shown) else { return Ok(()) };
         if self.fog_pass.is_none() {
             let made = self.fog_pass_of(&fog).inspect_err(|_| self.fog = None);

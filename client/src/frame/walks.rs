@@ -11,14 +11,15 @@ use crate::passes::walk::{WalkPass, WalkTable, Walks};
 pub(super) struct Walking {
     table: WalkTable,
     pass: WalkPass,
-    /// What there is room for.
-    room: Option<([u32; 2], Walks)>,
+    /// Size, step and whether there is irradiance of the pictures that there is room for.
+    room: Option<([u32; 2], u32, bool)>,
 }
 
 impl Walking {
     /// There is no room for a picture of another size.
     pub(super) fn forget_room(&mut self) {
         self.room = None;
+        self.pass.drop_room();
     }
 }
 
@@ -52,8 +53,8 @@ impl Frame<'_> {
         walking.table.set_emitters(&self.gpu, table, radiance);
     }
 
-    /// What walks make of the next picture; nothing over colours that stand for light.
-    fn walks_now(&self) -> Option<Walks> {
+    /// Parts of the next picture that walks make; none over colours that stand for light.
+    pub(super) fn walks_now(&self) -> Option<Walks> {
         self.bake.light.voxels()?;
         let reflects = self.walks.reflections
             && self.details.specular
@@ -62,18 +63,23 @@ impl Frame<'_> {
         (self.overlay.is_none() && (walks.parts() != 0 || walks.eye)).then_some(walks)
     }
 
-    /// Walks from the pixels of a view, which is then to be shaded with what they find. Where there is no room for it, nothing walks any more, and
-    /// the error says so once.
+    /// Walks from the pixels of a view, which is then to be shaded with what they find. Where there is no room for it, nothing walks any more; the
+    /// error says so once where walks were asked for, and reflections that were not are those of shading alone.
     pub(super) fn walk(&mut self, view: ShadeView, jitter: [f32; 2]) -> Result<ShadeView> {
         let Some(walks) = self.walks_now() else { return Ok(view) };
         if let Err(error) = self.make_walks(&walks) {
             self.walks =
                 Walks { reflections: false, occlusion_m: None, irradiance: false, eye: false, ..walks };
             self.drop_walks();
-            return Err(error);
+            self.gpu.let_go()?;
+            if walks.asks_for_voxels() || !matches!(error, ClientError::AdapterFull { .. }) {
+                return Err(error);
+            }
+            tracing::warn!(%error, "reflections show light of directions alone");
+            return Ok(view);
         }
         let Some(walking) = &self.walking else { return Ok(view) };
-        let view = view.with_walked(if walks.eye { 0 } else { walks.parts() });
+        let view = view.with_walked(if walks.eye { 0 } else { walks.parts() }, walks.step);
         walking.pass.set(&self.gpu, &view, (self.room.size, &walks), jitter);
         if view.parts_walked() != 0 {
             self.shade.draw_starts((&self.gpu, &mut self.watch), &self.meshes, &self.shadow, &view);
@@ -102,7 +108,7 @@ impl Frame<'_> {
             self.walking = Some(Walking { table, pass, room: None });
             self.write_glows();
         }
-        let wanted = (self.room.size, *walks);
+        let wanted = (self.room.size, walks.step, walks.irradiance);
         let Some(walking) = self.walking.as_mut().filter(|walking| walking.room != Some(wanted)) else {
             return Ok(());
         };

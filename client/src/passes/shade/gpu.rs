@@ -152,7 +152,6 @@ impl ShadePass {
         let target_view = target.create_view(&wgpu::TextureViewDescriptor::default());
         gpu.check()?;
         (self.target, self.target_view, self.depth) = (target, target_view, depth);
-        self.starts = None;
         self.bind_walked(gpu, None);
         Ok(())
     }
@@ -185,13 +184,16 @@ impl ShadePass {
         &self.view
     }
 
-    /// Shades with what walks from the starts found; nothing without.
+    /// Shades with what walks from the starts found; without, lets go of the starts.
     pub fn bind_walked(&mut self, gpu: &Gpu, walked: Option<&wgpu::TextureView>) {
         let found = match (walked, &self.starts) {
             (Some(walked), Some((_, starts))) => (walked, starts),
             _ => (&self.unwalked.0, &self.unwalked.1),
         };
         self.draws[0] = bind_draws(gpu, &self.draw_layout, &self.looks, found);
+        if walked.is_none() {
+            self.starts = None;
+        }
     }
 
     /// Writes the view, and where walks of its pixels start.

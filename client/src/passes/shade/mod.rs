@@ -22,7 +22,7 @@ pub use starts::StartTextures;
 pub use surface::Surface;
 pub use view::{ShadeView, SurfaceDetails};
 
-/// The shader's part before what walks found, [`WALKED`] or [`UNWALKED`], and [`SHADER`].
+/// The shader's part before [`WALKED`] or [`UNWALKED`], and [`SHADER`].
 const LIGHTS: &str = concat!(
     include_str!("../shared/light.wgsl"),
     include_str!("../shared/rect.wgsl"),
@@ -34,7 +34,7 @@ const LIGHTS: &str = concat!(
     include_str!("specular.wgsl"),
     include_str!("lamps.wgsl")
 );
-/// What walks found, with its bindings; and where nothing walks.
+/// Light that walks found, with its bindings; and the part that stands for it where nothing walks.
 const WALKED: &str = include_str!("walked.wgsl");
 const UNWALKED: &str = include_str!("unwalked.wgsl");
 /// The shader; [`Shading::shader`] adds indirect light.

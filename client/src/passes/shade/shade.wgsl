@@ -150,7 +150,7 @@ fn texel_before(corner: Corner, step_x: Step, step_y: Step) -> vec2f {
     return corner.lightmap_texel + steps.x * step_x.texel + steps.y * step_y.texel;
 }
 
-// What is drawn of a corner, if anything.
+// The point that is drawn of a corner, if any.
 fn met_at(corner: Corner, front: bool) -> Met {
     let base_uv = mapped(draw.base_row0, draw.base_row1, corner.uv);
     let emissive_uv = mapped(draw.emissive_row0, draw.emissive_row1, corner.uv);
@@ -213,16 +213,17 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     var diffuse = indirect.towards;
     var reflected = gloss.reflectance * (1.0 / PI) * indirect.lobe;
     let parts = u32(view.ray_per_x.w);
-    if parts != 0u {
+    // Walks are of what is behind glass.
+    if (parts & 7u) != 0u && draw.transmission == 0.0 && draw.blends == 0.0 {
         let clip = view.clip_from_world * vec4f(surface.position, 1.0);
-        let own = walked_at(corner.clip.xy, surface, WALKED_PIXELS * view.ray_per_y.w * clip.w);
+        let own = walked_at(corner.clip.xy, parts >> 3u, surface, WALKED_PIXELS * view.ray_per_y.w * clip.w);
         if own.weight > 0.0 {
             diffuse = select(diffuse, own.irradiance, (parts & 4u) != 0u);
             if (parts & 2u) != 0u {
                 diffuse *= own.open;
                 reflected *= own.open;
             }
-            reflected = select(reflected, gloss.reflectance * own.reflected, (parts & 1u) != 0u);
+            reflected = select(reflected, gloss.reflectance * own.reflected, (parts & 1u) != 0u && own.reflects);
         }
     }
     let seen = seen_light(surface, before(surface.position), gloss);

@@ -2,15 +2,17 @@
 
 const WALKED_PIXELS = 1.0;
 
-// What walks of a point and its neighbours found.
+// Light that walks of a point and its neighbours found.
 struct Walked {
     reflected: vec3f,
+    // Some of them are of surfaces that reflect.
+    reflects: bool,
     open: f32,
     irradiance: vec3f,
     // 0 where no neighbour is on its surface.
     weight: f32,
 }
 
-fn walked_at(at: vec2f, surface: Surface, tolerance: f32) -> Walked {
-    return Walked(vec3f(0.0), 1.0, vec3f(0.0), 0.0);
+fn walked_at(at: vec2f, by_pixels: u32, surface: Surface, tolerance: f32) -> Walked {
+    return Walked(vec3f(0.0), false, 1.0, vec3f(0.0), 0.0);
 }

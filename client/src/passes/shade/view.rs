@@ -43,7 +43,7 @@ pub struct ShadeView {
     pub horizon: [f32; 4],
     /// World direction through the picture's middle; then 1 where normal maps are left out.
     pub ray: [f32; 4],
-    /// Its change per unit of ndc x; then the parts of light that walks make, a bit each.
+    /// Its change per unit of ndc x; then the parts of light that walks make, a bit each, and eight times their step in pixels.
     pub ray_per_x: [f32; 4],
     /// Its change per unit of ndc y; then the side of a pixel in metres where clip w is 1.
     pub ray_per_y: [f32; 4],
@@ -94,16 +94,16 @@ impl ShadeView {
         self
     }
 
-    /// The view with parts of light that walks of its pixels make, see [`crate::passes::walk::Walks::parts`].
+    /// The view with parts of light that walks of its pixels make, see [`crate::passes::walk::Walks::parts`], of each, every second … one.
     #[must_use]
-    pub fn with_walked(mut self, parts: u32) -> Self {
-        self.ray_per_x[3] = parts as f32;
+    pub fn with_walked(mut self, parts: u32, step: u32) -> Self {
+        self.ray_per_x[3] = (parts | step << 3) as f32;
         self
     }
 
     /// Parts of light that walks make.
     pub fn parts_walked(&self) -> u32 {
-        self.ray_per_x[3] as u32
+        self.ray_per_x[3] as u32 & 7
     }
 
     /// Details of surfaces that it shows; none over irradiance.

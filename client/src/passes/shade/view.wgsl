@@ -9,7 +9,7 @@ struct ShadeView {
     horizon: vec4f,
     // World direction through the picture's middle, then 1 where normal maps are left out; its change per unit of ndc x and y.
     ray: vec4f,
-    // w of the former: parts of light that walks make, a bit each: 1 reflections, 2 occlusion, 4 irradiance.
+    // w of the former: parts of light that walks make, a bit each: 1 reflections, 2 occlusion, 4 irradiance; and 8 times their step in pixels.
     ray_per_x: vec4f,
     // w: side of a pixel in metres where clip w is 1.
     ray_per_y: vec4f,

@@ -219,7 +219,12 @@ impl WalkPass {
         Ok(())
     }
 
-    /// What walks found.
+    /// Lets go of that room.
+    pub fn drop_room(&mut self) {
+        self.found = None;
+    }
+
+    /// Radiance and shares that walks found.
     pub fn walked(&self) -> Option<&wgpu::TextureView> {
         self.found.as_ref().map(|(_, walked, _)| walked)
     }
