@@ -26,4 +26,5 @@ pub mod scene;
 pub mod scene_parts;
 pub mod settings;
 pub mod trace;
+pub mod voxels;
 pub mod words;

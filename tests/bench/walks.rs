@@ -12,7 +12,7 @@ use lightkiln_client::passes::gpu::Gpu;
 use lightkiln_client::passes::shadow::ShadowRoom;
 use lightkiln_client::passes::walk::Walks;
 use lightkiln_client::preview::View;
-use lightkiln_proto::kinds::voxels::{Bundle, OCCLUSION_WALKS, Start, ambient_occlusion};
+use lightkiln_proto::voxels::{Bundle, OCCLUSION_WALKS, Start, ambient_occlusion};
 
 use crate::report::row;
 

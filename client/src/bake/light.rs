@@ -3,11 +3,11 @@
 use std::fmt::Debug;
 
 use glam::Vec4;
-use lightkiln_proto::kinds::voxels::VoxelTable;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
     LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, PatchTable, Sky,
 };
+use lightkiln_proto::voxels::VoxelTable;
 
 use super::{FreeSpace, SettledWalks};
 use crate::error::Result;

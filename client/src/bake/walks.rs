@@ -1,9 +1,9 @@
 //! Voxels of a bake under some lights.
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::kinds::voxels::{VoxelTable, WalkLight};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
+use lightkiln_proto::voxels::{VoxelTable, WalkLight};
 
 /// Voxels, and λ after the last bounce.
 #[derive(Debug)]

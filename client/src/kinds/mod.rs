@@ -6,6 +6,7 @@ pub mod field;
 pub mod grid;
 pub mod prt;
 pub mod sh;
+pub mod voxels;
 
 use crate::bake::ClientKinds;
 
@@ -17,4 +18,5 @@ pub fn all() -> ClientKinds {
         .with(grid::Grid)
         .with(cloud::Cloud)
         .with(captured::Captured)
+        .with(voxels::Voxels)
 }

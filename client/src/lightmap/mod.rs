@@ -9,12 +9,12 @@ use std::sync::OnceLock;
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::content::ClusterTransport;
-use lightkiln_proto::kinds::voxels::VoxelTable;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
     Columns, Incoming, Inconsistent, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, NO_PATCH,
     PatchTable, Settled, SlotTable, Transport,
 };
+use lightkiln_proto::voxels::VoxelTable;
 use wgpu::TextureViewDimension as Dimension;
 
 use crate::bake::{

@@ -16,9 +16,10 @@ use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::passes::shadow::ShadowPass;
 use crate::passes::stopwatch::Recorder;
+use crate::passes::walked::WalkedPass;
 use crate::scene::LoadedScene;
 
-/// direct → columns → basis → near → reconstruct → stand-ins of the level of detail → atlas.
+/// direct → columns → basis → near → walked → reconstruct → stand-ins of the level of detail → atlas.
 #[derive(Debug)]
 pub struct LightmapPasses {
     pub(crate) resident: Resident,
@@ -26,6 +27,7 @@ pub struct LightmapPasses {
     pub(crate) columns: Box<dyn ColumnsPass>,
     pub(crate) basis: BasisPass,
     pub(crate) near: NearPass,
+    pub(crate) walked: Option<WalkedPass>,
     pub(crate) reconstruct: ReconstructPass,
     pub(crate) atlas: AtlasPass,
     placements: wgpu::Buffer,
@@ -61,6 +63,7 @@ impl LightmapPasses {
                 &resident.detail,
             )?,
             near: NearPass::new(gpu, &transport.near, shadow, &resident)?,
+            walked: WalkedPass::new(gpu, &transport.walked, &resident)?,
             reconstruct: ReconstructPass::new(gpu, &transport.clusters, receivers)?,
             atlas: AtlasPass::new(gpu, &scene.lightmap, &light.texels, &resident)?,
             placements: gpu.storage("placements", &placements(scene))?,
@@ -96,6 +99,9 @@ impl LightPasses for LightmapPasses {
             lod.mark(&mut encoder.compute("level of detail"));
         }
         self.near.record(&mut encoder.compute("near"));
+        if let Some(walked) = &self.walked {
+            walked.record(&mut encoder.compute("walks of receivers"));
+        }
         self.reconstruct.record(&mut encoder.compute("reconstruct"));
         if let Some(lod) = &self.lod {
             lod.fill(&mut encoder.compute("level of detail"));

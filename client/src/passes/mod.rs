@@ -1,4 +1,4 @@
-//! The steps of a frame: shadow maps → direct → patches → basis → near → reconstruct → lod → change → atlas → shade → fog;
+//! The steps of a frame: shadow maps → direct → patches → basis → near → walked → reconstruct → lod → change → atlas → shade → fog;
 //! for a window also meter → show.
 //!
 //! Each pass is a folder: the shader, its caller, and `reference.rs`, which does the same on the processor over the same
@@ -26,6 +26,7 @@ pub mod shadow;
 pub mod show;
 pub mod stopwatch;
 pub mod walk;
+pub mod walked;
 
 /// Shaders of the passes that stand alone: name, as a file has it, and whole source. The shading pass' is [`shade::Shading::shader`].
 pub const SHADERS: &[(&str, &str)] = &[

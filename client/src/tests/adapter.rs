@@ -23,7 +23,8 @@ use crate::passes::shade::ShadeView;
 use crate::passes::shade::reference::Lit;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
 use crate::passes::stopwatch::{Recorder, Stopwatch};
-use crate::passes::{atlas, change, direct, near, patches, shade, shadow};
+use crate::passes::walked::WalkedPass;
+use crate::passes::{atlas, change, direct, near, patches, shade, shadow, walked};
 use crate::preview::{Backend, View, frame_of, render};
 use crate::scene::LoadedScene;
 
@@ -276,6 +277,39 @@ fn near_hits_agree<C: ClientColumns>(mut gpu: Gpu, stage: &Stage<C>) {
 
 #[test]
 #[ignore = "needs a graphics adapter"]
+fn light_of_walks_agrees_with_the_reference() {
+    let mut gpu = Gpu::open().unwrap();
+    let stage = Stage::new(&gpu, fixture::walked_light());
+    let resident = &stage.passes.resident;
+    let table = &stage.light.transport.walked;
+    let lambda = positive_noise(resident.lambda_count, 4);
+    gpu.write(&resident.lambda, &lambda);
+    let count = stage.receivers();
+    let mut wanted = vec![Vec4::ZERO; count];
+    walked::reference::walked(table, &lambda, &mut wanted);
+    assert!(wanted.iter().filter(|e| e.y > 0.0).count() > count / 2);
+    // In one page, and in pages of a few receivers.
+    for binding_max in [gpu.binding_max, 4096] {
+        gpu.binding_max = binding_max;
+        let pass = WalkedPass::new(&gpu, table, resident).unwrap().unwrap();
+        gpu.write(&resident.e_near, &vec![Vec4::ZERO; count]);
+        stage.run(&gpu, |compute| pass.record(compute));
+        let got: Vec<Vec4> = gpu.read(&resident.e_near, count).unwrap();
+        held("light of walks", &Difference::of(&got, &wanted, walked::TOLERANCE), 0.0);
+    }
+    // One end of each receiver elsewhere.
+    let mut other = table.clone();
+    for row in &table.rows {
+        let place = &mut other.places[row.first as usize];
+        *place = (*place + 1) % resident.lambda_count as u32;
+    }
+    walked::reference::walked(&other, &lambda, &mut wanted);
+    let got: Vec<Vec4> = gpu.read(&resident.e_near, count).unwrap();
+    assert!(!Difference::of(&got, &wanted, walked::TOLERANCE).agrees(0.0));
+}
+
+#[test]
+#[ignore = "needs a graphics adapter"]
 fn change_agrees_with_the_reference() {
     let gpu = Gpu::open().unwrap();
     let mut watch = Stopwatch::new(&gpu);
@@ -350,8 +384,12 @@ fn atlas_agrees_with_the_reference() {
 #[ignore = "needs a graphics adapter"]
 fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
     let gpu = Gpu::open().unwrap();
-    let bakes =
-        [fixture::prt_bake(&fixture::prt_contents()), super::facing::bake(), super::facing::glazed_bake()];
+    let bakes = [
+        fixture::prt_bake(&fixture::prt_contents()),
+        super::facing::bake(),
+        super::facing::glazed_bake(),
+        fixture::walked_bake(),
+    ];
     let sun = parse_light("sun dir=0.3,-0.8,0.4 irradiance=3").unwrap();
     // So small a side gives suns cascades.
     let with_cascades = |view: View| View { lights: vec![sun.clone()], shadow_side: 128, ..view };
@@ -362,6 +400,7 @@ fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
         (&bakes[2], view_of(&bakes[2])),
         (&bakes[2], with_cascades(view_of(&bakes[2]))),
         (&bakes[0], View { lights: rects(), ..view_of(&bakes[0]) }),
+        (&bakes[3], view_of(&bakes[3])),
     ];
     for (bake, view) in views {
         let prepared = prepared(bake, &view);

@@ -5,8 +5,10 @@ use std::fs;
 use std::mem::offset_of;
 use std::path::Path;
 
-use lightkiln_proto::kinds::voxels::{BrickRow, ElementRow};
-use lightkiln_proto::relight::{Column, Detail, LodView, NearHit, NearRow, OwnSurface, PatchRow, StandIn};
+use lightkiln_proto::relight::{
+    Column, Detail, LodView, NearHit, NearRow, OwnSurface, PatchRow, StandIn, WalkedRow,
+};
+use lightkiln_proto::voxels::{BrickRow, ElementRow};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Statement, TypeInner};
 
@@ -27,6 +29,7 @@ use crate::passes::shade::{PanoramaNumbers, ShadeDraw, ShadeView, Shading};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::show::ShowNumbers;
 use crate::passes::walk::{self, WalkNumbers, WalkPixels};
+use crate::passes::walked::{self, WalkedNumbers};
 use crate::web;
 
 /// Every shader: name and whole source, as the adapter compiles it.
@@ -44,6 +47,7 @@ fn shaders() -> Vec<(&'static str, String)> {
         ("dering", field::DERING_SHADER),
         ("fog-over", fog::OVER_SHADER),
         ("walk", walk::SHADER),
+        ("walked", walked::SHADER),
     ];
     let fogs = [fog::NO_RADIANCE, field::LATTICE_MEDIUM, field::TETRAHEDRA_MEDIUM];
     let fogs = fogs.map(|radiance| ("fog", [fog::FILL_SHADER, radiance].concat()));
@@ -259,6 +263,8 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "StandIn": StandIn { slot, cluster, sources }
         "TexelNumbers": TexelNumbers { first, count, stride, reach_m }
         "Turn": TurnNumbers { bounce, cluster_count, stride }
+        "Walked": WalkedNumbers { row_count, stride, weight }
+        "WalkedRow": WalkedRow { slot, first, count }
         "ShadeView": ShadeView { clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y }
     }
 }

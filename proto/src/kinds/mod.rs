@@ -104,7 +104,7 @@ pub struct Kinds(Vec<&'static dyn Kind>);
 impl Kinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured, &voxels::Voxels])
     }
 
     /// The table with one more kind.

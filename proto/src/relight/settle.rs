@@ -42,7 +42,7 @@ pub struct Settled {
     pub emit: Vec<Vec4>,
     /// E_ind.
     pub ind: Vec<Vec4>,
-    /// The part of it from near hits.
+    /// The part of it from near hits and from walks.
     pub near: Vec<Vec4>,
     /// λ that gave it.
     pub lambda: Vec<Vec4>,
@@ -85,7 +85,7 @@ impl<C: Columns> Transport<C> {
         limit: Limit,
         detail: Option<(&LodTable, &LodPlan)>,
     ) -> Settled {
-        let Self { receivers, clusters, near, columns, .. } = self;
+        let Self { receivers, clusters, near, walked, columns, .. } = self;
         let sky = columns.skies_lambda(incoming.sky, incoming.panorama);
         let mut settled = Settled {
             emit: self.emitter_irradiance(incoming.emitter_scale),
@@ -97,7 +97,8 @@ impl<C: Columns> Transport<C> {
         while settled.bounces < limit.bounces_max && !settled.converged {
             let irradiance = Irradiance { dir: incoming.dir, emit: &settled.emit, ind: &settled.ind };
             let lambda = self.lambda(parallel, irradiance, &sky);
-            let gathered = near.gather(parallel, receivers, incoming.near, irradiance);
+            let mut gathered = near.gather(parallel, receivers, incoming.near, irradiance);
+            walked.gather(parallel, &lambda, &mut gathered);
             let next = match detail {
                 None => {
                     let b = clusters.basis(parallel, &lambda);

@@ -6,7 +6,7 @@ use glam::{Vec3, Vec4};
 
 use super::{
     ClusterTable, EmitterTable, Inconsistent, Irradiance, NearTable, Panorama, Parallel, ReceiverTable, Sky,
-    SlotTable,
+    SlotTable, WalkedTable,
 };
 use crate::content::{BlockKey, ClusterTransport};
 
@@ -101,6 +101,8 @@ pub struct Transport<C> {
     pub emitters: EmitterTable,
     /// Near hits.
     pub near: NearTable,
+    /// Ends of walks, of receivers that have their light from these.
+    pub walked: WalkedTable,
     /// The clusters' columns.
     pub columns: C,
 }
@@ -138,7 +140,8 @@ impl<C: Columns> Transport<C> {
         let of_emitters = contents.iter().map(|content| (&content.emitters[..], content.receivers.len()));
         let emitters = EmitterTable::join(of_emitters, emitters)?;
         let near = NearTable::join(contents, &clusters, &receivers, &slots)?;
-        Ok(Self { slots, receivers, clusters, emitters, near, columns })
+        let walked = WalkedTable::default();
+        Ok(Self { slots, receivers, clusters, emitters, near, walked, columns })
     }
 
     /// Irradiance straight from emissive surfaces by slot, W·m⁻²; `scale` is one factor per emitter, 1 if absent.

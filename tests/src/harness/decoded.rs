@@ -4,9 +4,10 @@ use anyhow::{Context, Result, bail, ensure};
 use glam::{DVec3, Vec3, Vec4};
 use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, Texel};
-use lightkiln_proto::kinds::{captured, cloud, field, grid, prt, sh, voxels};
+use lightkiln_proto::kinds::{self, captured, cloud, field, grid, prt, sh};
 use lightkiln_proto::manifest::CLUSTERS;
-use lightkiln_proto::relight::PatchTable;
+use lightkiln_proto::relight::{PatchTable, Transport};
+use lightkiln_proto::voxels;
 use lightkiln_worker::evaluate::EvaluationError;
 use lightkiln_worker::factors::{Baked, Light, Threads};
 use lightkiln_worker::geometry::Site;
@@ -41,10 +42,12 @@ impl Decoded {
             bake.chunk(digest).map_err(|error| EvaluationError::Missing { digest, source: error.into() })
         };
         match manifest.kind.as_str() {
-            prt::NAME | grid::NAME | cloud::NAME => {
+            prt::NAME | grid::NAME | cloud::NAME | kinds::voxels::NAME => {
                 let chunk = manifest.chunks(prt::PATCHES).first().context("no patches")?;
                 let set = decode_patches(&bake.chunk(chunk.digest)?)?;
-                Ok(Self::Patches(Baked::decode(manifest, &bytes, |slots| PatchTable::new(&set, slots))?))
+                let baked = Baked::decode(manifest, &bytes, |slots| PatchTable::new(&set, slots))?;
+                let decoded = Self::Patches(baked);
+                if manifest.kind == kinds::voxels::NAME { decoded.walked(bake) } else { Ok(decoded) }
             }
             kind => {
                 ensure!(kind == sh::NAME, "there is no '{kind}' here");
@@ -58,6 +61,19 @@ impl Decoded {
                 Ok(Self::Probes(Baked::decode(manifest, &bytes, columns)?))
             }
         }
+    }
+
+    /// It with all of E_ind by walks.
+    fn walked(mut self, bake: &LocalBake) -> Result<Self> {
+        let (table, patches) = self.voxels(bake)?;
+        let Self::Patches(Baked { transport: Transport { receivers, near, .. }, .. }) = &self else {
+            bail!("voxels name patches")
+        };
+        let (ends, _) = voxels::walked(&table, patches, (receivers, near), |_| true, &Threads)?;
+        if let Self::Patches(baked) = &mut self {
+            baked.transport.walked = ends;
+        }
+        Ok(self)
     }
 
     /// Light under some lights, E_dir at sites given by `direct`: the mean over `sites` of a slot's texel.

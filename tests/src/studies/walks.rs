@@ -7,11 +7,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use glam::{DVec3, Vec3};
-use lightkiln_proto::kinds::voxels::{
+use lightkiln_proto::relight::NO_PATCH;
+use lightkiln_proto::voxels::{
     Bundle, OCCLUSION_REACH_M, OCCLUSION_WALKS, Seen, Start, VOXELS, VoxelTable, VoxelTotals, WalkLight,
     ambient_occlusion, walk,
 };
-use lightkiln_proto::relight::NO_PATCH;
 use lightkiln_worker::emitters::radiance_of_emitters;
 use lightkiln_worker::evaluate::default_lights;
 use lightkiln_worker::geometry::Site;

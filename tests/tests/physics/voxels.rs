@@ -3,10 +3,8 @@
 use std::f32::consts::PI;
 
 use glam::{Quat, Vec3};
-use lightkiln_proto::kinds::voxels::{
-    Bundle, IRRADIANCE_WALKS, Start, VoxelTable, WalkLight, irradiance, walk,
-};
-use lightkiln_tests::harness::{Bakery, Held, Recipe, bake};
+use lightkiln_proto::voxels::{Bundle, IRRADIANCE_WALKS, Start, VoxelTable, WalkLight, irradiance, walk};
+use lightkiln_tests::harness::{Bakery, Held, Lighting, Recipe, bake, relit};
 use lightkiln_tests::scenes::{self, Flat, flat};
 use lightkiln_worker::geometry::Site;
 use lightkiln_worker::rays::sampling::{R2, uniform_sphere};
@@ -18,6 +16,12 @@ use super::setup::{lamp_at, small, with_texels};
 /// A bake with voxels.
 fn with_voxels(receivers: u32) -> Recipe {
     small("prt", receivers).with("voxels", "on")
+}
+
+/// A bake of voxels alone.
+fn alone(receivers: u32) -> Recipe {
+    let settings = serde_json::json!({ "preset": "draft", "receivers_target": 5 * receivers });
+    Recipe { kind: "voxels", settings }
 }
 
 /// E of 64 walks from a receiver, by lights that the bake is lit by.
@@ -174,4 +178,39 @@ fn chair_that_is_moved_leaves_voxels_elsewhere_alone_and_bytes_are_those_of_a_wh
     assert!(!again.is_empty() && 2 * again.len() < kept.len(), "{again:#?}");
     let whole = bake(flat(&of), &recipe).unwrap();
     assert!(whole.manifest_bytes == moved.manifest_bytes, "other bytes than those of a whole bake");
+}
+
+#[test]
+fn voxels_alone_have_the_light_of_a_furnace_and_the_same_bytes_on_any_number_of_threads() {
+    let recipe = alone(1500).with("cluster_receivers", 64);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| bake(scenes::furnace(0.5, 1.0, 4.0), &recipe).unwrap())
+    };
+    let (one, four) = (on(1), on(4));
+    assert!(one.manifest_bytes == four.manifest_bytes, "other bytes");
+    assert!(one.manifest.clusters.len() > 2 && one.manifest.clusters.iter().all(|row| row.rank == 0));
+    let receivers = relit(&one, &Lighting::NONE).unwrap();
+    let wanted = 2.0 * PI;
+    let all: Vec<f64> =
+        receivers.iter().map(|receiver| lum(Vec3::from(receiver.indirect)) / f64::from(wanted)).collect();
+    let mean = all.iter().sum::<f64>() / all.len() as f64;
+    let worst = all.iter().map(|light| (light - 1.0).abs()).fold(0.0, f64::max);
+    println!("mean {mean:.4} of what is wanted, worst {worst:.4}");
+    assert!(all.len() > 500 && (mean - 1.0).abs() < 0.01 && worst < 0.06, "mean {mean}, worst {worst}");
+}
+
+#[test]
+fn voxels_alone_are_dark_behind_a_wall() {
+    let held = Held::new(scenes::two_rooms(0.02), &alone(4000)).unwrap();
+    let lit = held.under(&lamp_at(LAMP_M)).unwrap();
+    let of = |is_dark: bool| -> Vec<f64> {
+        let there = held.receivers(|receiver| is_right(receiver.position_m) == is_dark);
+        there.iter().map(|receiver| luminance(lit.baked(*receiver))).collect()
+    };
+    let (dark, bright) = (of(true), of(false));
+    assert!(dark.len() > 500 && bright.len() > 500, "{} and {}", dark.len(), bright.len());
+    assert!(dark.iter().all(|light| *light == 0.0));
+    // Outer sides of the walls are dark.
+    assert!(bright.iter().filter(|light| **light > 0.0).count() > 500);
 }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::{DVec3, Vec2};
 use lightkiln_proto::content::{BlockKey, Texel};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::relight::{Columns, Inconsistent, LightmapTexels, SlotTable, Transport};
+use lightkiln_proto::relight::{Columns, Inconsistent, LightmapTexels, SlotTable, Transport, WalkedTable};
 
 use super::anew::{Anew, wide};
 use super::baked::{Baked, Light};
@@ -69,6 +69,15 @@ impl<C: Columns> FactoredBake<C> {
     pub fn walkable(mut self, by_walks: ByWalks<C>) -> Self {
         self.by_walks = Some(by_walks);
         self
+    }
+
+    /// Gives receivers the light of walks.
+    pub fn walk(
+        &mut self,
+        walked: impl FnOnce(&Transport<C>) -> Result<WalkedTable, Inconsistent>,
+    ) -> Result<(), EvaluationError> {
+        self.baked.transport.walked = walked(&self.baked.transport)?;
+        Ok(())
     }
 
     /// The world that it was made anew in.
@@ -162,6 +171,10 @@ impl<C: Columns> Evaluated for FactoredBake<C> {
     }
 
     fn trace(&mut self, sample: &[Place], effort: usize, progress: &Progress) -> Result<(), Cancelled> {
+        // Light of walks is of no rows that could be made anew.
+        if !self.baked.transport.walked.is_empty() {
+            return Ok(());
+        }
         let receivers: Vec<u32> = sample.iter().map(receiver_of).collect();
         self.anew = Some(Anew::trace(self.transport.as_ref(), &self.cells, &receivers, effort, progress)?);
         Ok(())

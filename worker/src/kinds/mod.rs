@@ -84,7 +84,7 @@ pub struct BakeKinds(Vec<&'static dyn BakeKind>);
 impl BakeKinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured])
+        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured, &voxels::Voxels])
     }
 
     /// The table with one more kind.

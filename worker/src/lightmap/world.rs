@@ -84,6 +84,11 @@ impl World {
     /// Inputs that a world is made of.
     const PARTS: [&'static str; 3] = [crate::scene::ARTEFACT, super::charts::ARTEFACT, super::ARTEFACT];
 
+    /// Indices of all receivers.
+    pub fn all_receivers(&self) -> Vec<u32> {
+        (0..self.lightmap.receivers.len() as u32).collect()
+    }
+
     /// Builds the table of texels and raises the receivers' points.
     pub fn new(geometry: Arc<Geometry>, charts: &Charts, lightmap: Lightmap, progress: &Progress) -> Self {
         let texels = TexelTable::new(&geometry.scene, charts);

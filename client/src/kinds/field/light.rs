@@ -2,10 +2,10 @@
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::kinds::field::{Between, FieldTable, NO_PROBE, PROBE_ROWS};
-use lightkiln_proto::kinds::voxels::VoxelTable;
 use lightkiln_proto::relight::{
     Columns, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, PatchTable, Settled,
 };
+use lightkiln_proto::voxels::VoxelTable;
 
 use super::passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA, medium};
 use crate::bake::{

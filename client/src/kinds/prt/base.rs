@@ -3,9 +3,9 @@
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::prt::PATCHES;
-use lightkiln_proto::kinds::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 use lightkiln_proto::manifest::{DIRECTORY, Manifest, OVERVIEW};
 use lightkiln_proto::relight::PatchTable;
+use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 
 use super::joined;
 use super::memory::base_memory;

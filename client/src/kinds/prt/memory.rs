@@ -1,7 +1,7 @@
 //! Memory that light over surface patches takes when it is lit, about: budgets are held against it.
 
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
-use lightkiln_proto::kinds::voxels::VoxelPart;
+use lightkiln_proto::voxels::VoxelPart;
 
 use crate::fetch::Layers;
 

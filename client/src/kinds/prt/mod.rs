@@ -7,10 +7,10 @@ mod stream;
 
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
-use lightkiln_proto::kinds::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{Inconsistent, NO_PATCH, PatchTable};
+use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 
 use crate::bake::{ClientKind, Light, LightStream};
 use crate::error::{ClientError, Result};

@@ -1,10 +1,10 @@
 //! Walks on the adapter.
 
 use glam::{IVec3, Vec3, Vec4};
-use lightkiln_proto::kinds::voxels::{
+use lightkiln_proto::relight::PatchTable;
+use lightkiln_proto::voxels::{
     IRRADIANCE_WALKS, OCCLUSION_WALKS, REFLECTION_WALKS, VoxelTable, first_of_sky, glows_of, sky_directions,
 };
-use lightkiln_proto::relight::PatchTable;
 use wgpu::ShaderStages as Stages;
 
 use super::{SHADER, Walks, sample_identity};
@@ -111,11 +111,11 @@ impl WalkTable {
         let directions = sky_directions(patches).into_iter().map(|direction| direction.extend(0.0));
         let glows = gpu.storage("glows", &dark.chain(directions).collect::<Vec<_>>())?;
         let buffers = [
-            gpu.uniform("voxels", &numbers),
+            gpu.uniform("walk", &numbers),
             gpu.storage("slots of bricks", &table.slots)?,
             gpu.storage("bricks", &table.bricks)?,
             gpu.storage("masks of bricks", &table.words)?,
-            gpu.storage("voxels", &table.first_elements)?,
+            gpu.storage("elements of voxels", &table.first_elements)?,
             gpu.storage("elements", &table.elements)?,
         ];
         let mut resources: Vec<_> = buffers.iter().map(wgpu::Buffer::as_entire_binding).collect();

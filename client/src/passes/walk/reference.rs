@@ -1,7 +1,7 @@
 //! Walks of a picture on the processor.
 
 use glam::{Vec3, Vec4};
-use lightkiln_proto::kinds::voxels::{
+use lightkiln_proto::voxels::{
     Bundle, IRRADIANCE_WALKS, OCCLUSION_WALKS, REFLECTION_WALKS, Seen, Start, WalkLight, ambient_occlusion,
     irradiance, reflection, walk,
 };

@@ -1,7 +1,7 @@
 use glam::{Vec3, Vec4};
-use lightkiln_proto::kinds::voxels::{Start, VoxelTable, WalkHit, walk_within};
 use lightkiln_proto::relight::PatchTable;
 use lightkiln_proto::scene::SceneCamera;
+use lightkiln_proto::voxels::{Start, VoxelTable, WalkHit, walk_within};
 
 use super::*;
 use crate::bake::LoadedBake;
@@ -80,9 +80,7 @@ fn rays(table: &VoxelTable, count: u32) -> Vec<Ray> {
                 Ray { at, tangent, direction, reach_m, normal: Vec3::ZERO, pad: 0.0, end: End::default() };
             // Every second one starts where another one ends, and goes on from there.
             let hit = walk_within(table, &Start::free(at), direction, 0.0, f32::INFINITY);
-            match hit
-                .filter(|hit| index % 2 == 0 && hit.element != lightkiln_proto::kinds::voxels::NO_ELEMENT)
-            {
+            match hit.filter(|hit| index % 2 == 0 && hit.element != lightkiln_proto::voxels::NO_ELEMENT) {
                 None => ray,
                 Some(hit) => {
                     let row = table.elements[hit.element as usize];

@@ -1,5 +1,6 @@
 //! Workers that are lost, and tasks that take more memory than there is.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -31,12 +32,30 @@ fn worker(folder: &Path, server: &Server, more: &[&str]) -> Running {
     Running::start(command)
 }
 
-/// Whether a worker has noted a lease: one that is killed before, with the answer to its claim on the way, leaves nothing that its next
-/// start could tell of, and the lease is left to its end.
-fn has_noted(folder: &Path) -> bool {
+/// Whether the worker that goes on has noted all of the bake's tasks in hand, of which there are some: one that is killed before, with the
+/// answer to its claim on the way, leaves nothing that its next start could tell of, and the lease is left to its end.
+fn has_noted(folder: &Path, client: &ApiClient, bake: &str) -> bool {
+    let mut in_hand = BTreeMap::new();
+    for event in all_events(client, bake) {
+        match event.event {
+            EventKind::TaskStarted { key, label, .. } => drop(in_hand.insert(key, label)),
+            EventKind::TaskDone { key, .. }
+            | EventKind::TaskFailed { key, .. }
+            | EventKind::LeaseExpired { key, .. }
+            | EventKind::TaskReleased { key, .. } => drop(in_hand.remove(&key)),
+            _ => {}
+        }
+    }
     let notes = std::fs::read(folder.join("oven/worker-seats/0.held")).unwrap_or_default();
     let notes: serde_json::Value = serde_json::from_slice(&notes).unwrap_or_default();
-    notes["leases"].as_object().is_some_and(|leases| !leases.is_empty())
+    let noted: Vec<&str> = notes["leases"]
+        .as_object()
+        .into_iter()
+        .flat_map(|leases| leases.values())
+        .filter(|held| held["end"].is_null())
+        .filter_map(|held| held["label"].as_str())
+        .collect();
+    !in_hand.is_empty() && in_hand.values().all(|label| noted.contains(&label.as_str()))
 }
 
 /// Leases that workers told of after their end: a loss each, but those that were not begun.
@@ -77,7 +96,16 @@ fn worker_that_is_killed_again_and_again_fails_no_bake_and_its_next_start_gives_
         let left = is_held(&before);
         let shown = wait_for(&client, &bake, |bake| {
             let is_told = !left || told(&client, &bake.id) > told_before;
-            bake.state.is_final() || (is_held(bake) && is_told && has_noted(folder.path()))
+            // It shall take no other task between the look at it and its end.
+            let is_caught = is_held(bake) && is_told && {
+                killed.signal("STOP");
+                let has_noted = has_noted(folder.path(), &client, &bake.id);
+                if !has_noted {
+                    killed.signal("CONT");
+                }
+                has_noted
+            };
+            bake.state.is_final() || is_caught
         });
         assert!(
             !shown.state.is_final(),

@@ -5,7 +5,7 @@ use crate::chunk::*;
 use crate::kinds::Kinds;
 use crate::kinds::field::{PART_PROBES_MAX, TETRAHEDRA_MAX};
 use crate::kinds::sh::{BATCH_PROBES_MAX, HITS_MAX, RELIGHT_RAYS_MAX};
-use crate::kinds::voxels;
+use crate::voxels;
 
 const FORMAT: &str = include_str!("../../../FORMAT.md");
 

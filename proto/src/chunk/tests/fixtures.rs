@@ -10,7 +10,7 @@ use crate::kinds::field::{
     decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
-use crate::kinds::voxels::{
+use crate::voxels::{
     Brick, BrickKey, Element, Glow, NormalCode, Voxel, VoxelPart, decode_voxels, encode_voxels,
 };
 

@@ -14,7 +14,7 @@ use crate::kinds::field::{
     FIELD_CHUNK, MESH, decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
-use crate::kinds::voxels::{VOXELS_CHUNK, decode_voxels, decode_voxels_prefix, encode_voxels};
+use crate::voxels::{VOXELS_CHUNK, decode_voxels, decode_voxels_prefix, encode_voxels};
 
 /// A chunk of each kind, small enough to be cut at every byte.
 fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {

@@ -12,5 +12,5 @@ mod whole;
 use crate::content::*;
 use crate::kinds::field::{FieldPart, MAP_POINTS, MOVES_MAX, PROBE_ROWS, TetrahedronSet};
 use crate::kinds::sh::{ProbeBatch, RelightHit};
-use crate::kinds::voxels::{BRICKS_MAX, Brick, LEVELS_MAX as VOXEL_LEVELS_MAX, VoxelPart};
 use crate::manifest::{ChunkRef, ClusterRow};
+use crate::voxels::{BRICKS_MAX, Brick, LEVELS_MAX as VOXEL_LEVELS_MAX, VoxelPart};

@@ -9,8 +9,8 @@ use crate::kinds::field::{
     FieldPart, PROBE_ROWS, TetrahedronSet, decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
-use crate::kinds::voxels::{VoxelPart, decode_voxels, encode_voxels};
 use crate::manifest::{ChunkRef, ClusterRow};
+use crate::voxels::{VoxelPart, decode_voxels, encode_voxels};
 
 fn product(cluster: &ClusterTransport) -> Vec<f64> {
     let (rank, columns) = (cluster.factors.rank as usize, cluster.factors.columns());

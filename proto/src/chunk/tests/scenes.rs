@@ -6,8 +6,8 @@ use crate::kinds::field::{
     FieldPart, MAP_POINTS, PROBE_ROWS, Probe as FieldProbe, ProbeKey as FieldKey, TetrahedronSet,
 };
 use crate::kinds::sh::*;
-use crate::kinds::voxels::{Brick, BrickKey, Element, Glow, NormalCode, Voxel, VoxelPart, voxel_in_brick};
 use crate::manifest::{ChunkRef, ClusterRow, Layer, PrefixCheck};
+use crate::voxels::{Brick, BrickKey, Element, Glow, NormalCode, Voxel, VoxelPart, voxel_in_brick};
 
 /// Numbers in 0..1 that look random and are the same everywhere.
 pub(super) struct Noise(pub u64);

@@ -17,10 +17,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::voxels::VoxelTotals;
 use super::{Figures, Warning, prt};
 use crate::manifest::{ClusterTotals, Manifest, ManifestError, all_finite};
 use crate::relight::Inconsistent;
+use crate::voxels::VoxelTotals;
 
 pub use chunk::{EncodedField, FIELD as FIELD_CHUNK, PART_PROBES_MAX, ROW, decode_field, encode_field};
 pub use content::{

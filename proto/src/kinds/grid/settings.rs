@@ -2,7 +2,7 @@
 
 use crate::kinds::field::{FieldSettings, LitSettings};
 use crate::kinds::prt::{self, PatchSettings};
-use crate::kinds::voxels::VoxelSettings;
+use crate::kinds::voxels::{VoxelPresence, VoxelSettings};
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
 
@@ -31,6 +31,8 @@ kind_settings! {
         patches: PatchSettings,
         /// Clusters and factors.
         factors: FactorSettings,
+        /// Whether it has voxels.
+        has_voxels: VoxelPresence,
         /// Voxels.
         voxels: VoxelSettings,
         /// Probes in free space.
@@ -45,7 +47,8 @@ kind_settings! {
 impl Settings {
     /// Those of the relightable bake without its field.
     pub fn relightable(&self) -> prt::Settings {
-        let Self { preset, texels, place, transport, patches, factors, voxels, .. } = self.clone();
-        prt::Settings { preset, texels, place, transport, patches, factors, voxels }
+        let Self { preset, texels, place, transport, patches, factors, has_voxels, voxels, .. } =
+            self.clone();
+        prt::Settings { preset, texels, place, transport, patches, factors, has_voxels, voxels }
     }
 }

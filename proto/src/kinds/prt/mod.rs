@@ -7,13 +7,13 @@ pub mod tasks;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::voxels::{self, VOXELS, VoxelTotals};
 use super::{Figures, Kind, Rates, UnderWay, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
 use crate::jobs::TaskSpec;
 use crate::manifest::{ClusterTotals, Manifest, ManifestError, OVERVIEW, check_clusters};
 use crate::settings::{SettingRow, SettingsError};
+use crate::voxels::{VOXELS, VoxelTotals};
 
 pub use settings::{PatchSettings, Settings};
 pub use tasks::first_tasks;
@@ -73,7 +73,7 @@ impl Kind for Prt {
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {
-        &[voxels::ROW]
+        &[]
     }
 
     fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {

@@ -1,7 +1,7 @@
 //! Settings of the relightable bake.
 
 use crate::kinds::Rates;
-use crate::kinds::voxels::VoxelSettings;
+use crate::kinds::voxels::{VoxelPresence, VoxelSettings};
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
 use crate::{kind_settings, settings_group};
 
@@ -43,6 +43,8 @@ kind_settings! {
         patches: PatchSettings,
         /// Clusters and factors.
         factors: FactorSettings,
+        /// Whether it has voxels.
+        has_voxels: VoxelPresence,
         /// Voxels.
         voxels: VoxelSettings,
     }

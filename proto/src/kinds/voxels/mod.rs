@@ -1,92 +1,86 @@
-//! Voxels: a scene's surfaces as elements on lattices of doubling voxels, each of which names the surface patch whose radiance it has
-//! (\[Drinovsky2013\] stores light instead). Walks through them find what a ray or a narrow cone meets.
+//! The bake of voxels alone: receivers and patches without transport, lit by walks at run time; and the settings and tasks of voxels, which
+//! bakes of other kinds have beside theirs.
 
-mod chunk;
-mod columns;
-mod cones;
-mod content;
-mod head;
-mod light;
-mod place;
-mod predict;
 mod settings;
-mod table;
 pub mod tasks;
-mod walk;
 
-#[cfg(test)]
-mod shells;
-#[cfg(test)]
-mod tests;
+use serde_json::Value;
 
-use serde::{Deserialize, Serialize};
+use crate::chunk::ChunkRow;
+use crate::ids::Digest;
+use crate::jobs::TaskSpec;
+use crate::kinds::{Figures, Kind, Rates, Warning, prt};
+use crate::manifest::{Manifest, ManifestError};
+use crate::settings::{SettingRow, SettingsError};
+use crate::voxels::{ROW, VOXELS};
 
-pub use chunk::{ROW, VOXELS_CHUNK, decode_voxels, decode_voxels_prefix, encode_voxels, voxel_layers};
-pub use cones::{
-    Bundle, Cone, IRRADIANCE_WALKS, OCCLUSION_REACH_M, OCCLUSION_WALKS, REFLECTION_WALKS, Seen,
-    ambient_occlusion, irradiance, reflection,
-};
-pub use content::{
-    BRICK_VOXELS, BRICKS_MAX, Brick, BrickKey, Element, Glow, LEVELS_MAX, NormalCode, REGION_LEVELS,
-    REGION_VOXELS, SUBS, Voxel, VoxelPart, place_in_brick, sub_in_voxel, voxel_in_brick,
-};
-pub use head::{GLOWS_MAX, PART_BRICKS_MAX, PART_ELEMENTS_MAX};
-pub use light::{WalkLight, first_of_sky, glows_of, sky_directions};
-pub use settings::{Presence, VoxelSettings};
-pub use table::{
-    BRICK_SIZE, BRICK_WORDS, BrickRow, DARK_PATCH, ElementRow, NO_BRICK, VOXEL_SIZE, VoxelTable, brick_hash,
-    patch_numbers,
-};
-pub use walk::{NO_ELEMENT, STEPS_MAX, Start, WalkHit, walk, walk_within};
+pub use settings::{Presence, Settings, VoxelPresence, VoxelSettings, WalkedSettings};
 
-/// Role of the chunks of voxels: that of the coarser levels first.
-pub const VOXELS: &str = "voxels";
+/// Name of the kind.
+pub const NAME: &str = "voxels";
 
-/// Sums over all voxels.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct VoxelTotals {
-    /// Side of the finest in metres.
-    pub voxel_m: f32,
-    /// Regions with surfaces.
-    pub regions: u64,
-    /// Bricks.
-    pub bricks: u64,
-    /// Elements of each level, the finest first.
-    pub elements: Vec<u64>,
-}
+/// Bakes that the rates are from.
+const MEASURED: &str = "a Cornell box, draft and medium, on two threads of a server of 2026";
 
-impl VoxelTotals {
-    /// Adds a part.
-    pub fn add(&mut self, part: &VoxelPart) {
-        self.voxel_m = part.voxel_m;
-        self.bricks += part.bricks.len() as u64;
-        for brick in &part.bricks {
-            let level = brick.key.level as usize;
-            self.elements.resize(self.elements.len().max(level + 1), 0);
-            self.elements[level] += brick.elements.len() as u64;
+/// The kind's row.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Voxels;
+
+impl Kind for Voxels {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn about(&self) -> &'static str {
+        "voxels alone: soon there, lights can move; light is that of walks, noisy and costly to draw at first"
+    }
+
+    fn settings(&self) -> Vec<SettingRow> {
+        Settings::rows()
+    }
+
+    fn resolve(&self, settings: &Value) -> Result<Value, SettingsError> {
+        Ok(Settings::from_json(settings)?.stated())
+    }
+
+    fn first_tasks(&self, scene: Digest, settings: &Value) -> Result<Vec<TaskSpec>, SettingsError> {
+        Ok(tasks::first_tasks(scene, &Settings::from_json(settings)?))
+    }
+
+    fn rates(&self, settings: &Value) -> Result<Option<Rates>, SettingsError> {
+        let settings = Settings::from_json(settings)?;
+        Ok(Some(Rates {
+            cpu_us: 100.0 + 0.7 * f64::from(settings.walked.emitter_rays),
+            bundle_bytes: 12.0,
+            memory_bytes: 1200.0,
+            cluster_receivers: f64::from(settings.walked.cluster_receivers),
+            measured: MEASURED,
+        }))
+    }
+
+    fn chunks(&self) -> &'static [ChunkRow] {
+        &[ROW]
+    }
+
+    fn check(&self, manifest: &Manifest) -> Result<(), ManifestError> {
+        let prt::Body { totals, voxels, .. } = manifest.body()?;
+        if voxels.is_none() || manifest.chunks(VOXELS).is_empty() {
+            let problem = "it has no voxels, which all of its light comes from".to_owned();
+            return Err(ManifestError::Contradiction { problem });
         }
+        prt::check_relightable(manifest, &totals)
     }
 
-    /// Adds another sum.
-    pub fn join(&mut self, other: &Self) {
-        self.voxel_m = other.voxel_m;
-        self.regions += other.regions;
-        self.bricks += other.bricks;
-        self.elements.resize(self.elements.len().max(other.elements.len()), 0);
-        self.elements.iter_mut().zip(&other.elements).for_each(|(sum, count)| *sum += count);
+    fn summary(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
+        prt::Prt.summary(manifest)
     }
 
-    /// For people; `bytes` are those of all chunks.
-    pub fn words(&self, bytes: u64) -> String {
-        let Self { voxel_m, regions, bricks, elements } = self;
-        let all: u64 = elements.iter().sum();
-        let each = bytes as f64 / all.max(1) as f64;
-        let levels: Vec<String> = elements.iter().map(u64::to_string).collect();
-        let levels = levels.join(" ");
-        format!(
-            "{all} elements in voxels of {voxel_m} m and more, {bricks} bricks, {regions} regions, {each:.1} bytes an element; \
-             by level {levels}\n"
-        )
+    fn warnings(&self, _: &Manifest) -> Result<Vec<Warning>, ManifestError> {
+        // Walks find all light that columns do not carry.
+        Ok(Vec::new())
+    }
+
+    fn inspection(&self, manifest: &Manifest) -> Result<Figures, ManifestError> {
+        prt::Prt.inspection(manifest)
     }
 }

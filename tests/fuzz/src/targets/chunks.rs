@@ -12,11 +12,11 @@ use lightkiln_proto::kinds::field::{
     encode_field, encode_tetrahedra,
 };
 use lightkiln_proto::kinds::sh::*;
-use lightkiln_proto::kinds::voxels::{
+use lightkiln_proto::manifest::{ChunkRef, ClusterRow};
+use lightkiln_proto::voxels::{
     BRICKS_MAX, Brick, BrickKey, Element, Glow, LEVELS_MAX as VOXEL_LEVELS_MAX, NormalCode, Voxel, VoxelPart,
     decode_voxels, decode_voxels_prefix, encode_voxels, voxel_layers,
 };
-use lightkiln_proto::manifest::{ChunkRef, ClusterRow};
 
 use super::container::{packed, unpacked};
 use super::{Target, taken};

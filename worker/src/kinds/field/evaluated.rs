@@ -105,7 +105,7 @@ pub fn evaluated(
     role: Option<&'static str>,
     (bytes, progress): (ChunkBytes, &Progress),
 ) -> Result<FieldBake, EvaluationError> {
-    let surfaces = prt::evaluated_of(kinds, manifest, first, relightable, bytes, progress)?;
+    let surfaces = prt::evaluated_of(kinds, manifest, first, relightable.into(), bytes, progress)?;
     let (parts, tetrahedra) = parts(manifest, role, bytes)?;
     let field = FieldTable::join(&parts, tetrahedra.as_ref(), manifest.emitters.len(), surfaces.columns())?;
     manifest.body::<Body>()?.field.check(&field)?;

@@ -2,8 +2,8 @@
 
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, Settings};
-use lightkiln_proto::kinds::voxels::VOXELS;
 use lightkiln_proto::manifest::{CLUSTERS, ChunkRef, ClusterRow, OVERVIEW};
+use lightkiln_proto::voxels::VOXELS;
 use serde_json::Value;
 
 use super::plan::PATCH_SET;
@@ -27,7 +27,8 @@ pub struct Assembled {
 }
 
 impl Assembled {
-    /// Of a task's inputs: the outputs of the scene tasks, `patch-set`, `cluster/N/…` of every cell, `overview/…`, and `voxels/…` where there are some.
+    /// Of a task's inputs: the outputs of the scene tasks, `patch-set`, `cluster/N/…` of every cell, `overview/…` and `voxels/…`, each of the last two
+    /// where there are some.
     pub fn of(context: &Context, settings: &Settings) -> Result<Self, TaskError> {
         let index = CellIndex::of_inputs(context)?;
         let report = index.report(settings.patches.rank_error);
@@ -36,7 +37,8 @@ impl Assembled {
         let body = Body { totals: index.totals(), patches, voxels };
         let overview = chunk_refs(context, &format!("{OVERVIEW}/{}", overview::OUTPUT));
         let patches = chunk_refs(context, PATCH_SET);
-        let mut chunks = vec![(CLUSTERS, index.chunks), (PATCHES, patches), (OVERVIEW, overview)];
+        let mut chunks = vec![(CLUSTERS, index.chunks), (PATCHES, patches)];
+        chunks.extend((!overview.is_empty()).then_some((OVERVIEW, overview)));
         if body.voxels.is_some() {
             chunks.push((VOXELS, voxels::chunks(context)));
         }

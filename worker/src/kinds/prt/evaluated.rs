@@ -4,14 +4,14 @@ use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{PATCHES, Settings, first_tasks, tasks};
-use lightkiln_proto::kinds::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::relight::PatchTable;
+use lightkiln_proto::relight::{PatchTable, Transport};
+use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels, walked};
 
-use super::PatchTransport;
 use super::plan::PATCH_SET;
+use super::{PatchTransport, TracedSettings};
 use crate::evaluate::{ChunkBytes, EvaluationError};
-use crate::factors::{FactoredBake, decoded};
+use crate::factors::{FactoredBake, Threads, decoded};
 use crate::kinds::voxels::WalkedBake;
 use crate::kinds::{BakeKinds, FirstTasks, made_anew};
 use crate::task::Progress;
@@ -26,7 +26,8 @@ pub fn evaluated(
 ) -> Result<FactoredBake<PatchTable>, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    evaluated_of(kinds, manifest, (scene, plan, tasks::PLAN.name, None), &settings, bytes, progress)
+    let traced = TracedSettings::from(&settings);
+    evaluated_of(kinds, manifest, (scene, plan, tasks::PLAN.name, None), traced, bytes, progress)
 }
 
 /// As [`evaluated`], of a scene whose first tasks `plan` gives, and of which the task kind `planning` plans the relightable bake; `or_else`
@@ -35,7 +36,7 @@ pub fn evaluated_of(
     kinds: &BakeKinds,
     manifest: &Manifest,
     (scene, plan, planning, or_else): (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str, Option<&str>),
-    settings: &Settings,
+    settings: TracedSettings,
     bytes: ChunkBytes,
     progress: &Progress,
 ) -> Result<FactoredBake<PatchTable>, EvaluationError> {
@@ -46,15 +47,21 @@ pub fn evaluated_of(
             return Err(EvaluationError::OtherStage { what: "other surface patches".into() });
         }
         let patches = decoded(&chunks[0], bytes, decode_patches)?;
-        let transport = PatchTransport::of(context, settings.into()).map_err(EvaluationError::Prepare)?;
+        let is_bare = settings.is_bare;
+        let transport = PatchTransport::of(context, settings).map_err(EvaluationError::Prepare)?;
         let columns = |slots: &_| PatchTable::new(&patches, slots);
-        let bake = FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)?;
+        let mut bake = FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)?;
         let parts = manifest.chunks(VOXELS).iter().map(|chunk| decoded(chunk, bytes, decode_voxels));
         let parts: Vec<VoxelPart> = parts.collect::<Result<_, EvaluationError>>()?;
         if parts.is_empty() {
             return Ok(bake);
         }
         let voxels = VoxelTable::of_bake(parts.iter(), bake.columns())?;
+        if is_bare {
+            bake.walk(|Transport { receivers, near, columns, .. }| {
+                Ok(walked(&voxels, columns, (receivers, near), |_| true, &Threads)?.0)
+            })?;
+        }
         Ok(bake.walkable(Box::new(|bake| Box::new(WalkedBake::new(bake, voxels)))))
     })
 }

@@ -16,7 +16,6 @@ mod truncate;
 use std::sync::Arc;
 
 use lightkiln_proto::kinds::prt::{NAME, PatchSettings, Settings, tasks};
-use lightkiln_proto::kinds::voxels;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::settings::{FactorSettings, TransportSettings};
 use serde::{Deserialize, Serialize};
@@ -34,9 +33,9 @@ use crate::transport::{self as shared, DEAD_PATH_TEXELS};
 pub(super) use assemble::Assembled;
 pub(super) use evaluated::evaluated_of;
 use near::NearHit;
-pub(super) use plan::{cells_of, is_read_by_transport, planned};
+pub(super) use plan::{cells_of, is_read_by_transport, planned, planned_of};
 use rows::{KeptRows, Known};
-pub(super) use transport::{KnownRow, of_known_rows, quantisation_error};
+pub(super) use transport::{KnownRow, of_known_rows, quantisation_error, run as run_transport};
 use truncate::NamedPiece;
 
 /// The kind's row.
@@ -55,8 +54,6 @@ impl BakeKind for Prt {
             TaskRow { name: tasks::COLOUR.name, run: colourless::run },
             TaskRow { name: tasks::OVERVIEW.name, run: overview::run },
             TaskRow { name: tasks::ASSEMBLE.name, run: assemble::run },
-            TaskRow { name: voxels::tasks::REGION.name, run: super::voxels::run },
-            TaskRow { name: voxels::tasks::TOP.name, run: super::voxels::run },
         ]
     }
 
@@ -87,9 +84,18 @@ pub struct TracedSettings {
     transport: TransportSettings,
     patches: PatchSettings,
     factors: FactorSettings,
+    /// Rays find the receivers that light can reach and the light of emitters alone: clusters have no factors.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    is_bare: bool,
 }
 
 impl TracedSettings {
+    /// Those of clusters without factors.
+    #[must_use]
+    pub(super) fn bare(self) -> Self {
+        Self { is_bare: true, ..self }
+    }
+
     fn truncation(&self) -> TruncationBounds {
         TruncationBounds { rank_max: self.factors.rank_max as usize, error_max: self.patches.rank_error }
     }
@@ -102,6 +108,7 @@ impl From<&Settings> for TracedSettings {
             transport: settings.transport.clone(),
             patches: settings.patches.clone(),
             factors: settings.factors.clone(),
+            is_bare: false,
         }
     }
 }

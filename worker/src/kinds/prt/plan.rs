@@ -4,8 +4,8 @@
 use glam::Vec3;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
-use lightkiln_proto::kinds::OUTLINE_OUTPUT;
 use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, Settings, tasks};
+use lightkiln_proto::kinds::{OUTLINE_OUTPUT, TaskKind};
 use lightkiln_proto::manifest::{ChunkRef, OVERVIEW};
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -39,18 +39,16 @@ pub struct Planned {
     colours: Vec<TaskSpec>,
     /// Tasks of voxels.
     voxels: Vec<TaskSpec>,
+    /// Clusters have no factors.
+    is_bare: bool,
 }
 
 /// Runs the task: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`, `outline`.
 pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
     let (world, tree) = (World::of(context)?, PatchTree::of(context)?);
-    let all: Vec<u32> = (0..world.lightmap.receivers.len() as u32).collect();
-    let planned = planned(context, &bake.settings, &all)?;
-    let (mut plan, results) = planned.tasks();
-    let mut artefacts = planned.artefacts;
-    let inputs = context.as_inputs(|_| true).into_iter().chain(results).collect();
-    plan.push(tasks::ASSEMBLE.task("bundle", json!(bake), inputs, 1));
+    let planned = planned(context, &bake.settings, &world.all_receivers())?;
+    let (plan, mut artefacts) = planned.with_assemble(context, tasks::ASSEMBLE, json!(bake));
     let patch_set = artefacts.iter().find(|(name, _)| name == PATCH_SET).map_or(&[][..], |(_, bytes)| bytes);
     let outline = outline(context, &bake, &world.geometry.scene, &tree, patch_set)?;
     artefacts.push((OUTLINE_OUTPUT.to_owned(), outline));
@@ -59,12 +57,21 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
 
 /// The tasks over the outputs of all scene tasks, which are a context's inputs, for some receivers, ascending.
 pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Result<Planned, TaskError> {
-    let traced = TracedSettings::from(settings);
+    planned_of(context, settings, (tasks::TRANSPORT, TracedSettings::from(settings)), receivers)
+}
+
+/// As [`planned`], with rays by another task.
+pub fn planned_of(
+    context: &Context,
+    settings: &Settings,
+    (rays, traced): (TaskKind, TracedSettings),
+    receivers: &[u32],
+) -> Result<Planned, TaskError> {
     let world = World::of(context)?;
     let tree = PatchTree::of(context)?;
     let emitters = EmitterSet::of(context, &world.geometry)?;
     let cells = cells_of(&world.lightmap, receivers, settings);
-    let (common, stage) = Common::of(&world, &tree, &emitters, &(tasks::TRANSPORT.version, &traced));
+    let (common, stage) = Common::of(&world, &tree, &emitters, &(rays.version, &traced));
     let own = [
         (CELLS_ARTEFACT, encoded_cells(&cells)?),
         (STAGE_ARTEFACT, stage.encoded()?),
@@ -73,8 +80,9 @@ pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Res
     let names: Vec<Digest> =
         cells.par_iter().map(|cell| alike(&world, &common, &cell.bounds_m, &cell.receivers)).collect();
     let artefacts: Vec<_> = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
-    let mut planned =
-        Planned { artefacts, common, rays: Vec::new(), colours: Vec::new(), voxels: Vec::new() };
+    let (rays_of, colours, voxels_of) = (Vec::new(), Vec::new(), Vec::new());
+    let is_bare = traced.is_bare;
+    let mut planned = Planned { artefacts, common, rays: rays_of, colours, voxels: voxels_of, is_bare };
     let of_all = [CELLS_ARTEFACT, STAGE_ARTEFACT].map(|name| planned.input(name));
     for (cluster, ((cell, label), name)) in cells.iter().zip(cell_names(&cells)).zip(names).enumerate() {
         let cost = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
@@ -82,10 +90,10 @@ pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Res
         inputs.extend(of_all.iter().cloned());
         let of_cell = json!(TransportParams { cluster, settings: traced.clone() });
         let cost = RAYS_PER_RAY * cost / 1000;
-        let transport = tasks::TRANSPORT.task(format!("cluster {label}"), of_cell, inputs, cost).alike(name);
+        let transport = rays.task(format!("cluster {label}"), of_cell, inputs, cost).alike(name);
         planned.add(context, transport, cell.receivers.len());
     }
-    if settings.voxels.is_on() {
+    if settings.has_voxels.is_on() {
         let stage = planned.input(STAGE_ARTEFACT);
         planned.voxels = voxels::planned(context, &world, &settings.voxels, stage, &planned.common)?;
     }
@@ -111,6 +119,19 @@ impl Planned {
         TaskInput::Artefact { name: name.into(), digest: Digest::of(bytes) }
     }
 
+    /// All tasks, assemble last, and the artefacts.
+    pub fn with_assemble(
+        self,
+        context: &Context,
+        assemble: TaskKind,
+        params: Value,
+    ) -> (Vec<TaskSpec>, Vec<(String, Vec<u8>)>) {
+        let (mut plan, results) = self.tasks();
+        let inputs = context.as_inputs(|_| true).into_iter().chain(results).collect();
+        plan.push(assemble.task("bundle", params, inputs, 1));
+        (plan, self.artefacts)
+    }
+
     /// Adds a task whose outputs are those of `prt.transport`, of so many receivers, and that of its colours.
     pub fn add(&mut self, context: &Context, transport: TaskSpec, receivers: usize) {
         let mut inputs = context.as_inputs(is_read_by_colour);
@@ -120,16 +141,17 @@ impl Planned {
         self.rays.push(transport);
     }
 
-    /// All tasks, the overview among them, and the inputs of assemble beside the outputs of the scene tasks.
+    /// All tasks, the overview among them where clusters have factors, and the inputs of assemble beside the outputs of the scene tasks.
     pub fn tasks(&self) -> (Vec<TaskSpec>, Vec<TaskInput>) {
         let mut results = vec![self.input(PATCH_SET)];
         results.extend(crate::task::results_of(&self.colours));
         // Those of colours take a thousandth of their receivers each, and one more.
         let cost = 10 * self.colours.iter().map(|task| task.cost).sum::<u64>() + 1;
-        let overview = tasks::OVERVIEW.task(OVERVIEW, Value::Null, results.clone(), cost);
-        results.extend(crate::task::results_of(std::slice::from_ref(&overview)));
+        let overview = || tasks::OVERVIEW.task(OVERVIEW, Value::Null, results.clone(), cost);
+        let overview: Vec<TaskSpec> = (!self.is_bare).then(overview).into_iter().collect();
+        results.extend(crate::task::results_of(&overview));
         results.extend(crate::task::results_of(&self.voxels));
-        let tasks = self.rays.iter().chain(&self.colours).chain([&overview]).chain(&self.voxels);
+        let tasks = self.rays.iter().chain(&self.colours).chain(&overview).chain(&self.voxels);
         let tasks = tasks.cloned().collect();
         (tasks, results)
     }

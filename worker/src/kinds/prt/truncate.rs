@@ -62,7 +62,7 @@ impl Truncation for Cell<'_> {
     }
 
     fn has_columns(&self, receiver: u32) -> bool {
-        !self.matrix.used(&[self.receivers.place(receiver)]).is_empty()
+        !self.settings.is_bare && !self.matrix.used(&[self.receivers.place(receiver)]).is_empty()
     }
 
     fn position_m(&self, receiver: u32) -> Vec3 {

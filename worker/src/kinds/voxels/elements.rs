@@ -5,9 +5,7 @@ use std::collections::BTreeMap;
 
 use glam::{DVec3, IVec3};
 use lightkiln_proto::content::PatchKey;
-use lightkiln_proto::kinds::voxels::{
-    Brick, BrickKey, Element, NormalCode, Voxel, place_in_brick, voxel_in_brick,
-};
+use lightkiln_proto::voxels::{Brick, BrickKey, Element, NormalCode, Voxel, place_in_brick, voxel_in_brick};
 
 use super::touches::{Place, Touch};
 

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use lightkiln_proto::kinds::voxels::{Bundle, IRRADIANCE_WALKS, Start, VoxelTable, WalkLight, irradiance};
 use lightkiln_proto::relight::{NO_PATCH, PatchTable};
+use lightkiln_proto::voxels::{Bundle, IRRADIANCE_WALKS, Start, VoxelTable, WalkLight, irradiance};
 use rayon::prelude::*;
 
 use crate::emitters::radiance_of_emitters;

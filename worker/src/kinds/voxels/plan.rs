@@ -4,9 +4,8 @@ use std::collections::BTreeSet;
 
 use glam::{IVec3, Vec3};
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
-use lightkiln_proto::kinds::voxels::{
-    BRICKS_MAX, BrickKey, LEVELS_MAX, REGION_LEVELS, REGION_VOXELS, VoxelSettings, tasks,
-};
+use lightkiln_proto::kinds::voxels::{VoxelSettings, tasks};
+use lightkiln_proto::voxels::{BRICKS_MAX, BrickKey, LEVELS_MAX, REGION_LEVELS, REGION_VOXELS};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use glam::Vec3;
 use lightkiln_proto::content::PatchKey;
-use lightkiln_proto::kinds::voxels::Glow;
+use lightkiln_proto::voxels::Glow;
 
 use super::touches::{At, Sides, Triangle};
 use crate::emitters::EmissiveTriangle;
@@ -124,7 +124,7 @@ impl Surfaces<'_> {
 }
 
 /// Last level that there can be.
-const LEVEL_MAX: u32 = lightkiln_proto::kinds::voxels::LEVELS_MAX - 1;
+const LEVEL_MAX: u32 = lightkiln_proto::voxels::LEVELS_MAX - 1;
 
 /// Number of each emissive triangle's glow and 1, and the glows.
 fn glows(emissive: &[EmissiveTriangle]) -> (BTreeMap<u32, u16>, Vec<Glow>) {

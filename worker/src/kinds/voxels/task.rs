@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use lightkiln_proto::jobs::TaskSpec;
-use lightkiln_proto::kinds::voxels::{VoxelPart, VoxelTotals, encode_voxels};
 use lightkiln_proto::manifest::ChunkRef;
+use lightkiln_proto::voxels::{VoxelPart, VoxelTotals, encode_voxels};
 use rayon::prelude::*;
 
 use super::elements::Elements;

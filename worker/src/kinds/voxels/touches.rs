@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::{DVec3, IVec3, Vec3};
 use lightkiln_proto::content::PatchKey;
-use lightkiln_proto::kinds::voxels::{SUBS, sub_in_voxel};
+use lightkiln_proto::voxels::{SUBS, sub_in_voxel};
 
 use super::overlap::{Clipped, Shape};
 

@@ -3,7 +3,7 @@
 use glam::{IVec3, Vec3};
 
 use super::super::content::{BRICK_VOXELS, SUBS, place_in_brick, sub_in_voxel, voxel_in_brick};
-use super::{DARK_PATCH, ElementRow, VoxelTable};
+use super::{DARK_PATCH, ElementRow, GLOW_MARK, VoxelTable};
 
 /// Least cosine between normals of parts of one plane, and how far they lie apart at most in sides of the voxel: as elements are joined.
 const SAME_COSINE: f32 = 0.906_307_8;
@@ -91,32 +91,35 @@ impl Voxel {
                 left.bits = [0, 1].map(|half| left.bits[half] & !other.bits[half]);
             }
             let bits = u64::from(left.bits[0]) | u64::from(left.bits[1]) << 32;
-            let mut given: Vec<(u32, u64)> = Vec::new();
+            // By patch and marks, glows among these.
+            let mut given: Vec<([u32; 2], u64)> = Vec::new();
             for sub in (0..u64::BITS).filter(|sub| bits >> sub & 1 == 1) {
-                let Some(patch) = self.patch_beside(table, is_dark, &beside, (row, sub)) else { continue };
-                match given.iter_mut().find(|(known, _)| *known == patch) {
+                let Some(lit) = self.lit_beside(table, is_dark, &beside, (row, sub)) else { continue };
+                let light = [lit.patch_number, row.marks & !GLOW_MARK | lit.marks & GLOW_MARK];
+                match given.iter_mut().find(|(known, _)| *known == light) {
                     Some((_, bits)) => *bits |= 1 << sub,
-                    None => given.push((patch, 1 << sub)),
+                    None => given.push((light, 1 << sub)),
                 }
             }
             let kept = given.iter().fold(bits, |bits, (_, given)| bits & !given);
-            elements.push(ElementRow { bits: halves(kept), ..*row });
-            elements.extend(given.into_iter().map(|(patch_number, bits)| ElementRow {
+            elements.extend((kept != 0).then_some(ElementRow { bits: halves(kept), ..*row }));
+            elements.extend(given.into_iter().map(|([patch_number, marks], bits)| ElementRow {
                 bits: halves(bits),
                 patch_number,
+                marks,
                 ..*row
             }));
         }
     }
 
-    /// Patch of the first lit element of a dark one's plane that touches a sub-voxel beside one of its own.
-    fn patch_beside(
+    /// The first lit element of a dark one's plane that touches a sub-voxel beside one of its own.
+    fn lit_beside<'a>(
         &self,
-        table: &VoxelTable,
-        is_dark: &[bool],
+        table: &'a VoxelTable,
+        is_dark: &'a [bool],
         beside: &[Option<Self>; 6],
         (row, sub): (&ElementRow, u32),
-    ) -> Option<u32> {
+    ) -> Option<&'a ElementRow> {
         let at = IVec3::new((sub & 3) as i32, (sub >> 2 & 3) as i32, (sub >> 4) as i32);
         BESIDE.iter().zip(beside).find_map(|(step, beside)| {
             let next = at + *step;
@@ -125,7 +128,7 @@ impl Voxel {
             let bit = sub_in_voxel(next);
             let touches = |other: &&ElementRow| other.bits[(bit >> 5) as usize] >> (bit & 31) & 1 == 1;
             let mut lit = voxel.lit(table, is_dark).filter(touches);
-            lit.find(|other| self.is_of_plane(row, voxel, other)).map(|other| other.patch_number)
+            lit.find(|other| self.is_of_plane(row, voxel, other))
         })
     }
 
@@ -165,8 +168,13 @@ mod tests {
         }
     }
 
-    /// Patches and bits of elements of voxels in a row along x, the first elements of which lie in the first voxel; patch 1 is dark.
+    /// Patches and bits of [`rows`].
     fn yielded(voxels: &[&[Element]]) -> Vec<(u32, u32)> {
+        rows(voxels).iter().map(|row| (row.patch_number, row.bits[0])).collect()
+    }
+
+    /// Elements of voxels in a row along x, the first elements of which lie in the first voxel; patch 1 is dark.
+    fn rows(voxels: &[&[Element]]) -> Vec<ElementRow> {
         let of = |(place, elements): (usize, &&[Element])| super::super::super::content::Voxel {
             place: 6 + place as u16,
             elements: elements.len() as u16,
@@ -180,12 +188,22 @@ mod tests {
         let part = VoxelPart { voxel_m: 1.0, glows, bricks: vec![brick(0), brick(5)] };
         let mut table = VoxelTable::join([&part].into_iter(), |key| Some(key.0 as u32)).unwrap();
         yield_to_lit(&mut table, |patch| patch == 1);
-        let all: Vec<_> = table.elements.iter().map(|row| (row.patch_number, row.bits[0])).collect();
-        let (one, two) = all.split_at(all.len() / 2);
+        let (one, two) = table.elements.split_at(table.elements.len() / 2);
         assert_eq!(one, two);
         assert_eq!(table.first_elements.len(), 2 * voxels.len() + 1);
-        assert_eq!(*table.first_elements.last().unwrap() as usize, all.len());
+        assert_eq!(*table.first_elements.last().unwrap() as usize, table.elements.len());
         one.to_vec()
+    }
+
+    #[test]
+    fn dark_parts_beside_what_glows_glow_and_those_that_leave_all_are_gone() {
+        let lit = Element { glow: 1, ..element(7, DVec3::Y, 0.0, 0b1000) };
+        let found = rows(&[&[element(0, DVec3::Y, 0.0, 0b0100), lit]]);
+        let of = |row: &ElementRow| (row.patch_number, row.bits[0], row.glow(), row.is_backed());
+        assert_eq!(
+            found.iter().map(of).collect::<Vec<_>>(),
+            [(7, 0b0100, Some(0), true), (7, 0b1000, Some(0), true)]
+        );
     }
 
     #[test]

@@ -172,7 +172,7 @@ mod tests {
     use glam::{DVec3, Vec3};
 
     use super::*;
-    use crate::kinds::voxels::sub_in_voxel;
+    use crate::voxels::sub_in_voxel;
 
     fn bits_where(is_in: impl Fn(IVec3) -> bool) -> u64 {
         let range = || 0..SUBS;

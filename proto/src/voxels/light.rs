@@ -30,6 +30,15 @@ pub fn sky_directions(patches: &PatchTable) -> Vec<Vec3> {
     (0..patches.sky_parts).map(|part| relight_direction(part, patches.sky_parts)).collect()
 }
 
+/// The part of the sky whose direction is nearest.
+pub(super) fn nearest_of_sky(sky: &[Vec3], direction: Vec3) -> u32 {
+    let nearest = sky.iter().zip(0..).fold((0, f32::NEG_INFINITY), |best, (middle, part)| {
+        let cosine = direction.dot(*middle);
+        if cosine > best.1 { (part, cosine) } else { best }
+    });
+    nearest.0
+}
+
 /// Place of the sky's first part in λ.
 pub fn first_of_sky(patches: &PatchTable) -> usize {
     2 * patches.patches.len()
@@ -75,10 +84,7 @@ impl<'a> WalkLight<'a> {
 
     /// Mean radiance of the part of the sky in a direction.
     pub fn of_sky(&self, direction: Vec3) -> Vec3 {
-        let nearest = self.sky.iter().enumerate().fold((0, f32::NEG_INFINITY), |best, (part, middle)| {
-            let cosine = direction.dot(*middle);
-            if cosine > best.1 { (part, cosine) } else { best }
-        });
-        self.lambda.get(self.first_of_sky + nearest.0).map_or(Vec3::ZERO, |radiance| radiance.truncate())
+        let place = self.first_of_sky + nearest_of_sky(&self.sky, direction) as usize;
+        self.lambda.get(place).map_or(Vec3::ZERO, |radiance| radiance.truncate())
     }
 }

@@ -236,7 +236,7 @@ impl PatchPlace {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kinds::voxels::NormalCode;
+    use crate::voxels::NormalCode;
 
     const LATTICES: Lattices = Lattices { level: 2, cells: 2 };
 

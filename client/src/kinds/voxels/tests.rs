@@ -1,0 +1,86 @@
+//! Light of walks beside the walks themselves, and bundles that lack what it needs.
+
+use glam::{Vec3, Vec4};
+use lightkiln_proto::content::ClusterTransport;
+use lightkiln_proto::kinds::voxels::NAME;
+use lightkiln_proto::relight::Columns as _;
+use lightkiln_proto::voxels::{
+    Bundle, Emission, IRRADIANCE_WALKS, Start, VoxelTotals, WalkLight, irradiance, walk_identity,
+};
+
+use super::*;
+use crate::bake::LoadedBake;
+use crate::fixture::{add_voxels, rewrite_manifest, voxel_light, walked_light, write_bundle};
+use crate::kinds::all;
+
+/// λ without pattern.
+fn lambda(light: &LightmapLight<PatchTable>) -> Vec<Vec4> {
+    let count = light.transport.columns.lambda_count() as u32;
+    let number = |place: u32| f64::from(place.wrapping_mul(2_654_435_769) >> 8) as f32 / 16_777_216.0;
+    (0..count).map(|place| Vec4::new(number(place), number(place + count), 0.5, 0.0)).collect()
+}
+
+#[test]
+fn receivers_have_the_irradiance_of_their_walks_without_what_glows_there() {
+    let (_, light) = walked_light();
+    let lambda = lambda(&light);
+    let Transport { receivers, near, columns, walked: ends, .. } = &light.transport;
+    let table = light.voxels.as_ref().unwrap();
+    let (again, emission) = walked(table, columns, (receivers, near), |_| true, &Threads).unwrap();
+    assert_eq!(&again, ends);
+    let mut found = vec![Vec4::ZERO; receivers.len()];
+    ends.gather(&Threads, &lambda, &mut found);
+    for Emission { slot, shares } in &emission {
+        found[*slot as usize] += shares.iter().map(|(_, share)| *share).sum::<Vec3>().extend(0.0);
+    }
+    let of_all = WalkLight::new(table, columns, &lambda, |_| Vec3::ONE);
+    for slot in 0..receivers.len() {
+        let [at_m, normal] = [&receivers.position_m, &receivers.normal].map(|of| of[slot].truncate());
+        let bundle = Bundle::new(IRRADIANCE_WALKS, walk_identity(table.voxel_m, at_m));
+        let start = Start::on(at_m, normal);
+        let wanted = irradiance(table, &start, normal, &bundle, |seen| of_all.radiance(seen));
+        let found = found[slot].truncate();
+        assert!((found - wanted).abs().max_element() < 1e-4, "receiver {slot}: {found}, wanted {wanted}");
+    }
+    assert!(!emission.is_empty() && emission.len() < receivers.len());
+}
+
+#[test]
+fn some_receivers_alone_are_walked() {
+    let (_, light) = voxel_light();
+    let Transport { receivers, columns, .. } = &light.transport;
+    let table = light.voxels.as_ref().unwrap();
+    let is_wanted = |slot: u32| slot.is_multiple_of(3);
+    let near = Default::default();
+    let (ends, _) = walked(table, columns, (receivers, &near), is_wanted, &Threads).unwrap();
+    assert!(ends.rows.iter().all(|row| is_wanted(row.slot)));
+    assert_eq!(ends.rows.len(), receivers.len().div_ceil(3));
+}
+
+/// A bundle of the kind, with or without its elements.
+fn opened(folder: &std::path::Path, has_voxels: bool) -> Result<LoadedBake> {
+    let mut manifest = write_bundle(folder, "prt");
+    manifest.kind = NAME.to_owned();
+    manifest.body["voxels"] = serde_json::json!(VoxelTotals::default());
+    let manifest = rewrite_manifest(folder, manifest);
+    if has_voxels {
+        add_voxels(folder, manifest);
+    }
+    LoadedBake::load(&Source::bundle(folder)?, &all())
+}
+
+#[test]
+fn bundle_without_elements_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = format!("{:?}", opened(folder.path(), false).err().unwrap());
+    assert!(error.contains("no voxels"), "{error}");
+}
+
+#[test]
+fn cluster_with_near_hits_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = opened(folder.path(), true).err().map(|error| error.to_string());
+    let has_near = |cluster: &ClusterTransport| !cluster.near.is_empty();
+    let is_refused = crate::fixture::prt_contents().clusters.iter().any(has_near);
+    assert_eq!(error.is_some(), is_refused, "{error:?}");
+}
