@@ -7,6 +7,7 @@ mod edges;
 mod gpu;
 mod path;
 mod probes;
+mod provisional;
 mod receivers;
 mod within;
 
@@ -37,6 +38,7 @@ pub use edges::probe_edges;
 pub(crate) use gpu::frame_of;
 pub use path::{FILE_MAX as PATH_FILE_MAX, ViewPath};
 pub use probes::{ProbeColours, probe_spheres};
+pub use provisional::provisional_share;
 pub use receivers::{LitReceivers, light_receivers};
 pub use within::StreamedBake;
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use lightkiln_proto::kinds::Kind;
 use lightkiln_proto::manifest::Manifest;
 
-use super::{Light, LightStream};
+use super::{Edited, Light, LightStream, QuickBake};
 use crate::error::{ClientError, Result};
 use crate::fetch::{Following, Source};
 use crate::scene::LoadedScene;
@@ -21,6 +21,24 @@ pub trait ClientKind: Send + Sync {
     /// The browser's modules show its bakes too.
     fn is_in_browsers(&self) -> bool {
         false
+    }
+
+    /// The quick bake of an edited scene that [`Self::edited`] needs. Errs for a kind that shows no edits before they are baked.
+    fn quick_bake(&self, manifest: &Manifest) -> Result<QuickBake> {
+        let _ = manifest;
+        Err(self.shows_no_edits())
+    }
+
+    /// The light of an edited scene, of the bake of the scene as it was and of the quick one of the scene as it is.
+    fn edited(&self, before: &Source, after: &Source) -> Result<Edited> {
+        let _ = (before, after);
+        Err(self.shows_no_edits())
+    }
+
+    /// The error of such a kind.
+    fn shows_no_edits(&self) -> ClientError {
+        let text = format!("kind {}", self.contract().name());
+        ClientError::Source { text, problem: "shows no edits before they are baked: bake them".to_owned() }
     }
 
     /// Fetches the part of the light that comes first. Errs for a kind whose bakes have no such part.

@@ -4,6 +4,7 @@
 //! gives the work before shading on the processor ([`Light::settle`]) and on the adapter ([`LightPasses`]), and the
 //! shading function in both forms.
 
+mod edit;
 mod errors;
 mod free_space;
 mod kind;
@@ -17,6 +18,7 @@ use crate::error::Result;
 use crate::fetch::Source;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 
+pub use edit::{Edited, QuickBake};
 pub use errors::{COLUMNS, FULL_COLOUR, MeasuredErrors};
 pub use free_space::{FreeSpace, Lattice, NO_PROBE, PROBE_COEFFICIENTS, Tetrahedra};
 pub use kind::{ClientKind, ClientKinds};

@@ -264,7 +264,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "TexelNumbers": TexelNumbers { first, count, stride, reach_m }
         "Turn": TurnNumbers { bounce, cluster_count, stride }
         "Walked": WalkedNumbers { row_count, stride, weight }
-        "WalkedRow": WalkedRow { slot, first, count }
+        "WalkedRow": WalkedRow { slot, first, count, has_near }
         "ShadeView": ShadeView { clip_from_world, zenith, horizon, ray, ray_per_x, ray_per_y }
     }
 }

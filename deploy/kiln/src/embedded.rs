@@ -227,6 +227,11 @@ fn open(runtime: &Runtime, config: &Config, interrupt: &Interrupt) -> Result<(Se
     }
 }
 
+/// One thread per processor.
+pub fn all_processors() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// Where a farm inside this process keeps its state unless told: `$KILN_STATE`, `$XDG_CACHE_HOME/lightkiln`,
 /// `~/.cache/lightkiln`.
 pub fn default_state() -> Result<PathBuf> {

@@ -7,6 +7,7 @@ mod bundle;
 mod command_line;
 mod commands;
 mod console;
+mod edit;
 mod embedded;
 mod enrolment;
 mod evaluation;

@@ -7,14 +7,15 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use lightkiln_client::ClientError;
-use lightkiln_client::bake::{ClientKinds, LoadedBake};
+use lightkiln_client::bake::{ClientKinds, Edited, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
 use lightkiln_client::preview::{
-    Backend, Fog, StreamedBake, SurfaceDetails, View, ViewPath, Walks, debug_picture, render, render_path,
+    Backend, Fog, StreamedBake, SurfaceDetails, View, ViewPath, Walks, debug_picture, provisional_share,
+    render, render_path,
 };
-use lightkiln_client::scene::{Object, Recolour, check_recolours};
+use lightkiln_client::scene::{Object, Recolour, Stance, check_recolours};
 use lightkiln_client::stream::{Budget, Streamed};
 #[cfg(feature = "view")]
 use lightkiln_client::view::Subject;
@@ -288,7 +289,7 @@ impl PictureArguments {
         source: &Source,
         png: &Path,
     ) -> Result<Drawn> {
-        let (objects, mut stances) = reel.take_objects();
+        let (objects, stances) = reel.take_objects();
         let path = reel.path.as_ref();
         let within = reel.budget.unwrap_or(Budget::NONE);
         let part = match kinds.follow(source)? {
@@ -297,10 +298,7 @@ impl PictureArguments {
         };
         let Some(streamed) = part else {
             let mut bake = self.loaded(source, kinds)?;
-            objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
-            reel.show_in(&mut bake, &mut stances)?;
-            let mut view = View { objects: stances, ..self.view(&bake, lighting, path)? };
-            view.walks = Walks { occlusion_m: view.walks.occlusion_m, ..reel.walks() };
+            let view = self.view_of_whole(&mut bake, &reel, (&objects, stances), lighting)?;
             let full = match self.write_all(&bake, &view, path, png) {
                 Err(full @ ClientError::AdapterFull { .. }) => full,
                 drawn => return Ok(drawn?),
@@ -318,6 +316,41 @@ impl PictureArguments {
         let mut streamed = self.furnished(streamed, objects)?;
         let view = View { objects: stances, ..self.view(&streamed.bake, lighting, path)? };
         self.write_part(&mut streamed, (within, None), &view, path, png)
+    }
+
+    /// As [`Self::draw_reel`], of an edit of a scene.
+    pub fn draw_edit(
+        &self,
+        mut reel: Reel,
+        mut edited: Edited,
+        lighting: &LightArguments,
+        png: &Path,
+    ) -> Result<Drawn> {
+        let (objects, stances) = reel.take_objects();
+        let path = reel.path.as_ref();
+        check_recolours(&edited.bake.scene.manifest, &self.look.material)?;
+        edited.bake.recolour(&self.look.material)?;
+        let view = self.view_of_whole(&mut edited.bake, &reel, (&objects, stances), lighting)?;
+        let first = path.map_or_else(|| view.clone(), |path| path.view(1, &view));
+        let share = provisional_share(&edited, &first)?;
+        let drawn = self.write_all(&edited.bake, &view, path, png)?;
+        say!("{:.1} % of the picture's light is that of walks until the edit is baked", 100.0 * share);
+        Ok(Drawn { provisional: Some(share), ..drawn })
+    }
+
+    /// The view of a bake that has all of its light, with objects and what is to be shown of the bake put into it.
+    fn view_of_whole(
+        &self,
+        bake: &mut LoadedBake,
+        reel: &Reel,
+        (objects, mut stances): (&[Object], Vec<Stance>),
+        lighting: &LightArguments,
+    ) -> Result<View> {
+        objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
+        reel.show_in(bake, &mut stances)?;
+        let mut view = View { objects: stances, ..self.view(bake, lighting, reel.path.as_ref())? };
+        view.walks = Walks { occlusion_m: view.walks.occlusion_m, ..reel.walks() };
+        Ok(view)
     }
 
     /// The bake with the colours that are asked for, and with objects.

@@ -189,6 +189,8 @@ pub struct Drawn {
     pub less_light: Option<String>,
     /// Cells of a bake under way whose light is baked, and all of its cells; none of a bake that is done.
     pub under_way: Option<Baked>,
+    /// Share of the light in the picture, of a path in the first one, that walks tell until an edit is baked, 0 to 1; none without an edit.
+    pub provisional: Option<f32>,
 }
 
 /// Time of a pass of the adapter.

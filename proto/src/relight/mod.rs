@@ -6,7 +6,7 @@
 //! λ    = mean of L over each patch, or 4π/K Σ L Y_j  Columns       numbers that a cluster's columns read
 //! b_c  = s (ΣVᵀ) λ|_c                                basis         k numbers a cluster; s, U's steps, in them
 //! N_r  = w_r Σ_y ρ/π · (E_dir(y) + E_emit + E_ind)   gather        from near hits
-//! N_r  = w Σ λ                                       walked        of receivers without clusters' light, from the ends of walks
+//! N_r += w Σ ±λ                                     walked        from the ends of walks, of receivers that have some
 //! E_r  = max(N_r + U_r · b_c, −E_emit)               reconstruct   E_ind at receivers, W·m⁻²
 //! ```
 //! Receivers have **slots**: the clusters' receivers one after the other, in the manifest's order. Chunks name a
@@ -86,7 +86,7 @@ pub use stand_ins::{CoarsePatches, STAND_IN_LEVEL, stand_in};
 pub use taps::{Taps, TexelKind, tap_weights};
 pub use texels::{EXTENSION_TEXELS, LightmapTexels, taps_around};
 pub use transport::{ALWAYS, Columns, DirectAt, Transport};
-pub use walked::{WalkedRow, WalkedTable};
+pub use walked::{Ends, TAKEN, WalkedRow, WalkedTable};
 
 /// Chunks that contradict the manifest or each other, or exceed a limit.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]

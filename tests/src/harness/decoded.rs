@@ -6,7 +6,7 @@ use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, Texel};
 use lightkiln_proto::kinds::{self, captured, cloud, field, grid, prt, sh};
 use lightkiln_proto::manifest::CLUSTERS;
-use lightkiln_proto::relight::{PatchTable, Transport};
+use lightkiln_proto::relight::{PatchTable, Transport, WalkedTable};
 use lightkiln_proto::voxels;
 use lightkiln_worker::evaluate::EvaluationError;
 use lightkiln_worker::factors::{Baked, Light, Threads};
@@ -69,7 +69,8 @@ impl Decoded {
         let Self::Patches(Baked { transport: Transport { receivers, near, .. }, .. }) = &self else {
             bail!("voxels name patches")
         };
-        let (ends, _) = voxels::walked(&table, patches, (receivers, near), |_| true, &Threads)?;
+        let ends = voxels::walked(&table, patches, receivers, |_| true, &Threads);
+        let ends = WalkedTable::new(ends, voxels::WALK_WEIGHT, near)?;
         if let Self::Patches(baked) = &mut self {
             baked.transport.walked = ends;
         }

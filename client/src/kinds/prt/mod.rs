@@ -1,6 +1,7 @@
 //! Relightable light over surface patches.
 
 mod base;
+mod edit;
 mod memory;
 mod only;
 mod stream;
@@ -12,7 +13,7 @@ use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{Inconsistent, NO_PATCH, PatchTable};
 use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 
-use crate::bake::{ClientKind, Light, LightStream};
+use crate::bake::{ClientKind, Edited, Light, LightStream, QuickBake};
 use crate::error::{ClientError, Result};
 use crate::fetch::{Source, decoded};
 use crate::lightmap::{ClientColumns, LightmapLight};
@@ -48,6 +49,14 @@ impl ClientKind for Prt {
 
     fn is_in_browsers(&self) -> bool {
         true
+    }
+
+    fn quick_bake(&self, manifest: &Manifest) -> Result<QuickBake> {
+        edit::quick(manifest)
+    }
+
+    fn edited(&self, before: &Source, after: &Source) -> Result<Edited> {
+        edit::edited(before, after)
     }
 
     fn stream(&self, source: &Source, manifest: &Manifest) -> Result<Box<dyn LightStream>> {

@@ -1,6 +1,6 @@
-//! Parts of clusters of an overview: the receivers that stand for those which have not come.
+//! Parts of clusters: of an overview the receivers that stand for those which have not come, of a bake of before what an edit left of it.
 
-use lightkiln_proto::content::{BlockKey, ClusterTransport, Texel};
+use lightkiln_proto::content::{BlockKey, ClusterTransport, NearHits, Texel, TransportFactors};
 
 /// Names of a cluster's receivers.
 pub(super) fn names(cluster: &ClusterTransport) -> impl Iterator<Item = (BlockKey, Texel)> + '_ {
@@ -9,7 +9,7 @@ pub(super) fn names(cluster: &ClusterTransport) -> impl Iterator<Item = (BlockKe
     receivers.block.iter().map(block).zip(receivers.texel.iter().copied())
 }
 
-/// A cluster of an overview with the receivers alone that `is_wanted` names; `None` if it names none.
+/// A cluster with the receivers alone that `is_wanted` names; `None` if it names none.
 pub fn only(
     cluster: &ClusterTransport,
     is_wanted: impl Fn((BlockKey, Texel)) -> bool,
@@ -30,10 +30,75 @@ pub fn only(
     kept.emitters.iter_mut().for_each(|column| keep_of(&mut column.irradiance, &keep));
     let rows = cluster.factors.u.chunks(rank.max(1)).zip(&keep);
     kept.factors.u = rows.filter(|(_, keep)| **keep).flat_map(|(row, _)| row.iter().copied()).collect();
+    keep_hits(&mut kept.near, &keep);
     (!kept.receivers.texel.is_empty()).then_some(kept)
+}
+
+/// Leaves out the hits of receivers that are not kept.
+fn keep_hits(near: &mut NearHits, keep: &[bool]) {
+    let of_hits: Vec<bool> = near
+        .count
+        .iter()
+        .zip(keep)
+        .flat_map(|(count, keep)| std::iter::repeat_n(*keep, usize::from(*count)))
+        .collect();
+    keep_of(&mut near.surface, &of_hits);
+    keep_of(&mut near.offset, &of_hits);
+    keep_of(&mut near.count, keep);
+    keep_of(&mut near.weight, keep);
+}
+
+/// Gives columns other keys, and leaves those out that get none; several may get the same.
+pub fn rename_columns(factors: &mut TransportFactors, name: impl Fn(u64) -> Option<u64>) {
+    let renamed: Vec<Option<u64>> = factors.keys.iter().map(|key| name(*key)).collect();
+    let of_keys: Vec<bool> = renamed.iter().map(Option::is_some).collect();
+    let (of_key, columns) = (factors.coefficients(), factors.columns());
+    let is_kept = |column: usize| of_keys.get(column / of_key).copied().unwrap_or(true);
+    let mut column = 0;
+    factors.vt.retain(|_| {
+        let at = column % columns;
+        column += 1;
+        is_kept(at)
+    });
+    keep_of(&mut factors.steps.scale, &of_keys);
+    factors.keys = renamed.into_iter().flatten().collect();
 }
 
 fn keep_of<T>(values: &mut Vec<T>, keep: &[bool]) {
     let mut keep = keep.iter();
     values.retain(|_| keep.next().copied().unwrap_or_default());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::narrow_contents;
+
+    #[test]
+    fn near_hits_of_receivers_that_stay_are_theirs() {
+        let contents = narrow_contents();
+        let cluster = contents.clusters.iter().find(|cluster| !cluster.near.surface.is_empty()).unwrap();
+        let all: Vec<_> = names(cluster).collect();
+        let kept = only(cluster, |name| name != all[0]).unwrap();
+        let hits = |cluster: &ClusterTransport, row: usize| {
+            let range = cluster.near.ranges().nth(row).unwrap();
+            (cluster.near.surface[range.clone()].to_vec(), cluster.near.offset[range].to_vec())
+        };
+        assert_eq!(kept.receivers.len() + 1, all.len());
+        assert!((1..all.len()).any(|row| !hits(cluster, row).0.is_empty()));
+        for row in 1..all.len() {
+            assert_eq!(hits(&kept, row - 1), hits(cluster, row));
+            assert_eq!(kept.near.weight[row - 1], cluster.near.weight[row]);
+        }
+    }
+
+    #[test]
+    fn columns_that_stay_keep_their_numbers() {
+        let mut factors = TransportFactors { keys: vec![3, 5, 9], rank: 2, sky: true, ..Default::default() };
+        factors.vt = (0..8).map(|number| number as f32).collect();
+        factors.steps.scale = vec![1.0, 2.0, 3.0];
+        rename_columns(&mut factors, |key| (key != 5).then_some(key.max(7)));
+        assert_eq!((&factors.keys[..], &factors.steps.scale[..]), (&[7, 9][..], &[1.0, 3.0][..]));
+        assert_eq!(factors.vt, [0.0, 2.0, 3.0, 4.0, 6.0, 7.0]);
+    }
 }

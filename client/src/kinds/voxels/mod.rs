@@ -1,8 +1,8 @@
 //! Voxels alone: receivers and patches whose light is that of walks, which are taken when the bake is loaded.
 
 use lightkiln_proto::kinds::{self, Kind};
-use lightkiln_proto::relight::{Inconsistent, PatchTable, Transport};
-use lightkiln_proto::voxels::{VOXELS, walked};
+use lightkiln_proto::relight::{Inconsistent, PatchTable, Transport, WalkedTable};
+use lightkiln_proto::voxels::{VOXELS, WALK_WEIGHT, walked};
 
 use super::prt;
 use crate::bake::{ClientKind, Light};
@@ -34,9 +34,9 @@ pub fn walk(light: &mut LightmapLight<PatchTable>) -> Result<()> {
     let elements = light.voxels.as_ref().ok_or_else(|| {
         ClientError::inconsistent(VOXELS, "are missing, and all light of the bake comes from them".to_owned())
     })?;
-    let (ends, _) = walked(elements, columns, (receivers, near), |_| true, &Threads)
+    let ends = walked(elements, columns, receivers, |_| true, &Threads);
+    light.transport.walked = WalkedTable::new(ends, WALK_WEIGHT, near)
         .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
-    light.transport.walked = ends;
     Ok(())
 }
 

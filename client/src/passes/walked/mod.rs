@@ -1,4 +1,4 @@
-//! Irradiance that receivers get from where their walks end: `N(r) = w Σ λ`. The walks themselves were taken once, as no light moves their ends.
+//! Irradiance that receivers get from where their walks end: `N(r) += w Σ ±λ`. The walks themselves were taken once, as no light moves their ends.
 
 pub mod reference;
 
@@ -12,7 +12,7 @@ use crate::passes::resident::{Resident, pages};
 
 /// The shader.
 pub const SHADER: &str = include_str!("walked.wgsl");
-/// Largest difference from the reference, relative to the largest value: the same sum of 64 f32 of one sign in the same order.
+/// Largest difference from the reference, relative to the largest value: the same sum of at most 128 f32 in the same order.
 pub const TOLERANCE: f32 = 1e-5;
 /// Threads of a workgroup in the shader.
 const THREADS: u32 = 64;

@@ -5,7 +5,7 @@ use lightkiln_proto::relight::WalkedTable;
 
 use crate::threads::Threads;
 
-/// `N(r) = w Σ λ` into an array by slot, as [`WalkedTable::gather`].
+/// `N(r) += w Σ ±λ` in an array by slot, as [`WalkedTable::gather`].
 pub fn walked(table: &WalkedTable, lambda: &[Vec4], by_slot: &mut [Vec4]) {
     table.gather(&Threads, lambda, by_slot);
 }

@@ -1,5 +1,5 @@
 // Radiance at the ends of walks → irradiance at the receivers that have any; twin: reference.rs. One thread per receiver.
-// `N_r = w Σ λ`.
+// `N_r = w Σ ±λ`, beside the light of near hits, which their pass wrote before.
 
 struct Walked {
     row_count: u32,
@@ -12,7 +12,11 @@ struct WalkedRow {
     slot: u32,
     first: u32,
     count: u32,
+    has_near: u32,
 }
+
+// Bit of an end whose light is taken away.
+const TAKEN = 0x80000000u;
 
 @group(0) @binding(0) var<uniform> numbers: Walked;
 @group(0) @binding(1) var<storage, read> rows: array<WalkedRow>;
@@ -35,7 +39,9 @@ fn gather(@builtin(global_invocation_id) thread: vec3u) {
     }
     var sum = vec3f(0.0);
     for (var at = row.first; at < row.first + row.count; at++) {
-        sum += lambda[places[at]].rgb;
+        let light = lambda[places[at] & ~TAKEN].rgb;
+        sum += select(light, -light, (places[at] & TAKEN) != 0u);
     }
-    e_near[row.slot] = vec4f(numbers.weight * sum, 0.0);
+    let before = select(vec3f(0.0), e_near[row.slot].rgb, row.has_near != 0u);
+    e_near[row.slot] = vec4f(before + numbers.weight * sum, 0.0);
 }

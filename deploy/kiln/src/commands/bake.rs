@@ -11,7 +11,7 @@ use lightkiln_proto::api::NewBake;
 use crate::arguments::{PatienceArgument, TrustArgument};
 use crate::bundle::{refuse_foreign_folder, write_bundle};
 use crate::console::{printable, put_json, say};
-use crate::embedded::{EmbeddedFarm, default_state};
+use crate::embedded::{EmbeddedFarm, all_processors, default_state};
 use crate::evaluation::{EvaluationArguments, NotedScene, check, measure, words};
 use crate::explanation::explanation;
 use crate::failure::{EXIT_CODES, Exit, Failure, Result};
@@ -177,11 +177,6 @@ impl Place {
             Self::Farm(_) => Ok(None),
         }
     }
-}
-
-/// One thread per processor.
-pub fn all_processors() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Stops the work and cancels the bake, so that nothing goes on behind the user's back: in this process after any

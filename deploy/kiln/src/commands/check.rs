@@ -2,8 +2,8 @@
 
 use clap::Args;
 
-use super::bake::all_processors;
 use crate::console::{answer, put_json};
+use crate::embedded::all_processors;
 use crate::failure::{EXIT_CODES, Result};
 use crate::forecast::Forecast;
 use crate::kinds::KindTables;

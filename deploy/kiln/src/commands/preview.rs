@@ -8,6 +8,7 @@ use lightkiln_http::Level;
 
 use crate::arguments::BakeArgument;
 use crate::console::put_json;
+use crate::edit::EditArguments;
 use crate::failure::Result;
 use crate::following::follow;
 use crate::interrupt::Interrupt;
@@ -33,8 +34,10 @@ pub struct Arguments {
     picture: PictureArguments,
     #[command(flatten)]
     reel: ReelArguments,
+    #[command(flatten)]
+    edit: EditArguments,
     /// Ends with a JSON object on standard output: files, who drew, bounces, exposure, seconds, bytes of light, work by level of detail,
-    /// under_way: cells of a bake under way that are baked, and all
+    /// under_way: cells of a bake under way that are baked, and all; provisional: share of the picture's light that walks tell until an edit is baked
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -56,8 +59,11 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
         // Drawing is not wound down: the next signal ends it at once.
         interrupt.flag().raise(Level::Drain);
     }
-    let Arguments { picture, lighting, out, json, .. } = arguments;
-    let drawn = picture.draw_reel(reel, &kinds.client, &lighting, &source, &out)?;
+    let Arguments { picture, lighting, out, json, edit, .. } = arguments;
+    let drawn = match edit.light(kinds, &source)? {
+        Some(edited) => picture.draw_edit(reel, edited, &lighting, &out)?,
+        None => picture.draw_reel(reel, &kinds.client, &lighting, &source, &out)?,
+    };
     if json {
         put_json(&drawn);
     }

@@ -10,10 +10,9 @@ use lightkiln_worker::runtime::{
     CallError, LEASE_SECS, Seat, Worker, WorkerConfig, WorkerError, new_id, usual_tasks,
 };
 
-use super::bake::all_processors;
 use crate::arguments::{ServerArgument, own_token};
 use crate::console::say;
-use crate::embedded::or_in_state;
+use crate::embedded::{all_processors, or_in_state};
 use crate::enrolment::token_of_worker;
 use crate::failure::{Exit, Failure, Result};
 use crate::interrupt::Interrupt;

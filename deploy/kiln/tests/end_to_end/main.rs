@@ -10,6 +10,7 @@ mod crowd;
 mod deployment;
 mod description;
 mod early_light;
+mod edits;
 mod embedded;
 mod enrolment;
 mod evaluation;

@@ -5,8 +5,8 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{PATCHES, Settings, first_tasks, tasks};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::relight::{PatchTable, Transport};
-use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels, walked};
+use lightkiln_proto::relight::{PatchTable, Transport, WalkedTable};
+use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, WALK_WEIGHT, decode_voxels, walked};
 
 use super::plan::PATCH_SET;
 use super::{PatchTransport, TracedSettings};
@@ -59,7 +59,8 @@ pub fn evaluated_of(
         let voxels = VoxelTable::of_bake(parts.iter(), bake.columns())?;
         if is_bare {
             bake.walk(|Transport { receivers, near, columns, .. }| {
-                Ok(walked(&voxels, columns, (receivers, near), |_| true, &Threads)?.0)
+                let ends = walked(&voxels, columns, receivers, |_| true, &Threads);
+                WalkedTable::new(ends, WALK_WEIGHT, near)
             })?;
         }
         Ok(bake.walkable(Box::new(|bake| Box::new(WalkedBake::new(bake, voxels)))))
