@@ -15,7 +15,7 @@
 mod changes;
 
 use std::cmp::Reverse;
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use glam::{IVec3, Vec3};
 use lightkiln_proto::chunk;
@@ -292,7 +292,7 @@ impl Comparison<'_> {
             true => Some(place - first_before + first_now),
             false => *self.same.get(place as usize)?,
         };
-        let mut left: HashMap<u32, usize> = HashMap::new();
+        let mut left: BTreeMap<u32, usize> = BTreeMap::new();
         now.iter().for_each(|place| *left.entry(*place).or_default() += 1);
         let mut ends = Ends { slot, ..Ends::default() };
         for &place in before {
@@ -306,7 +306,6 @@ impl Comparison<'_> {
         for (place, count) in left {
             ends.added.extend(std::iter::repeat_n(place, count));
         }
-        ends.added.sort_unstable();
         ends.taken.sort_unstable();
         ends
     }
