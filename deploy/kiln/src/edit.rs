@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use lightkiln_client::bake::Edited;
 use lightkiln_client::fetch::{ApiClient, PATIENCE, Source};
-use lightkiln_http::USUAL;
+use lightkiln_http::{Level, USUAL};
 
 use crate::arguments::TrustArgument;
 use crate::console::say;
@@ -19,7 +19,7 @@ use crate::submission::{PackedScene, SceneArguments};
 /// Arguments of an edit.
 #[derive(Args, Clone, Debug)]
 pub struct EditArguments {
-    /// The scene as it is now: shows it before it is baked. Surfaces whose light did not change have that of the bake, all others that of walks
+    /// The scene as it is now: shows it before it is baked, of bakes of kinds that can. Surfaces whose light did not change have that of the bake, all others that of walks
     /// through voxels, which is noisier; how much of the picture that is, is said. Takes a few seconds for what the edit touches, and
     /// keeps finished tasks where 'kiln bake' does
     #[arg(long, value_name = "SCENE", conflicts_with_all = ["max_bytes", "max_memory", "debug"], help_heading = "Picture")]
@@ -50,6 +50,8 @@ impl EditArguments {
         })?;
         follow(&client, &bake.id, &interrupt, || farm.check())
             .inspect_err(|_| stop(&farm, &client, &bake.id))?;
+        // Drawing is not wound down: the next signal ends it at once.
+        interrupt.flag().raise(Level::Drain);
         let after = Source::server(client, bake.id);
         let edited = kinds.client.of(&manifest)?.edited(before, &after)?;
         let count = |which: fn(&f32) -> bool| edited.provisional.iter().filter(|share| which(share)).count();

@@ -1,6 +1,6 @@
 //! Parts of clusters: of an overview the receivers that stand for those which have not come, of a bake of before what an edit left of it.
 
-use lightkiln_proto::content::{BlockKey, ClusterTransport, NearHits, Texel, TransportFactors};
+use lightkiln_proto::content::{BlockKey, ClusterTransport, NearHits, NearSurface, Texel, TransportFactors};
 
 /// Names of a cluster's receivers.
 pub(super) fn names(cluster: &ClusterTransport) -> impl Iterator<Item = (BlockKey, Texel)> + '_ {
@@ -31,7 +31,37 @@ pub fn only(
     let rows = cluster.factors.u.chunks(rank.max(1)).zip(&keep);
     kept.factors.u = rows.filter(|(_, keep)| **keep).flat_map(|(row, _)| row.iter().copied()).collect();
     keep_hits(&mut kept.near, &keep);
+    drop_unused(&mut kept.receivers.blocks, kept.receivers.block.iter_mut().collect());
+    let of_hits = kept.near.surface.iter_mut().filter_map(|surface| match surface {
+        NearSurface::Texel { block, .. } => Some(block),
+        NearSurface::Own { .. } => None,
+    });
+    drop_unused(&mut kept.near.blocks, of_hits.collect());
     (!kept.receivers.texel.is_empty()).then_some(kept)
+}
+
+/// Leaves out blocks that none of these name any more, and numbers the others anew.
+fn drop_unused(blocks: &mut Vec<BlockKey>, mut named: Vec<&mut u16>) {
+    let mut is_used = vec![false; blocks.len()];
+    for block in &named {
+        if let Some(is_used) = is_used.get_mut(usize::from(**block)) {
+            *is_used = true;
+        }
+    }
+    let mut next = 0;
+    let numbers: Vec<u16> = is_used
+        .iter()
+        .map(|is_used| {
+            let number = next;
+            next += u16::from(*is_used);
+            number
+        })
+        .collect();
+    for block in &mut named {
+        // One that is out of range stays so.
+        **block = numbers.get(usize::from(**block)).copied().unwrap_or(u16::MAX);
+    }
+    keep_of(blocks, &is_used);
 }
 
 /// Leaves out the hits of receivers that are not kept.
@@ -80,9 +110,17 @@ mod tests {
         let cluster = contents.clusters.iter().find(|cluster| !cluster.near.surface.is_empty()).unwrap();
         let all: Vec<_> = names(cluster).collect();
         let kept = only(cluster, |name| name != all[0]).unwrap();
+        // Surfaces by the keys of their blocks, as these are numbered anew.
         let hits = |cluster: &ClusterTransport, row: usize| {
             let range = cluster.near.ranges().nth(row).unwrap();
-            (cluster.near.surface[range.clone()].to_vec(), cluster.near.offset[range].to_vec())
+            let named = |surface: &NearSurface| match surface {
+                NearSurface::Texel { block, texel } => {
+                    (Some((cluster.near.blocks[usize::from(*block)], *texel)), None)
+                }
+                NearSurface::Own { .. } => (None, Some(*surface)),
+            };
+            let surfaces: Vec<_> = cluster.near.surface[range.clone()].iter().map(named).collect();
+            (surfaces, cluster.near.offset[range].to_vec())
         };
         assert_eq!(kept.receivers.len() + 1, all.len());
         assert!((1..all.len()).any(|row| !hits(cluster, row).0.is_empty()));
@@ -90,6 +128,20 @@ mod tests {
             assert_eq!(hits(&kept, row - 1), hits(cluster, row));
             assert_eq!(kept.near.weight[row - 1], cluster.near.weight[row]);
         }
+    }
+
+    #[test]
+    fn blocks_of_which_nothing_is_left_are_named_no_more() {
+        let contents = crate::fixture::prt_contents();
+        let cluster = &contents.clusters[0];
+        let mut two = cluster.clone();
+        two.receivers.blocks.insert(0, 0xdead);
+        two.receivers.block.iter_mut().for_each(|block| *block += 1);
+        two.receivers.block[0] = 0;
+        let all: Vec<_> = names(&two).collect();
+        let kept = only(&two, |(block, _)| block != 0xdead).unwrap();
+        assert_eq!(kept.receivers.blocks, cluster.receivers.blocks);
+        assert_eq!(names(&kept).collect::<Vec<_>>(), all[1..]);
     }
 
     #[test]

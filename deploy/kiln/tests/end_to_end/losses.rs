@@ -94,18 +94,15 @@ fn worker_that_is_killed_again_and_again_fails_no_bake_and_its_next_start_gives_
         let killed = worker(folder.path(), &server, &[]);
         // The lease that the one before left is told of first, and is none of this one's.
         let left = is_held(&before);
+        // It shall take no other task between the look at it and its end, and do next to nothing between two looks.
         let shown = wait_for(&client, &bake, |bake| {
+            killed.signal("STOP");
             let is_told = !left || told(&client, &bake.id) > told_before;
-            // It shall take no other task between the look at it and its end.
-            let is_caught = is_held(bake) && is_told && {
-                killed.signal("STOP");
-                let has_noted = has_noted(folder.path(), &client, &bake.id);
-                if !has_noted {
-                    killed.signal("CONT");
-                }
-                has_noted
-            };
-            bake.state.is_final() || is_caught
+            let is_caught = is_told && has_noted(folder.path(), &client, &bake.id);
+            if !is_caught {
+                killed.signal("CONT");
+            }
+            is_caught || bake.state.is_final()
         });
         assert!(
             !shown.state.is_final(),

@@ -1,8 +1,9 @@
 //! Surfaces that two scenes do not have in common, as boxes.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use glam::{IVec3, Vec3};
+use lightkiln_proto::manifest::TEXTURES;
 
 use crate::scene::LoadedScene;
 
@@ -14,13 +15,18 @@ const CELLS: f32 = 128.0;
 /// Most cells of one triangle; a larger one is a box of its own.
 const TRIANGLE_CELLS_MAX: i32 = 512;
 
-/// A triangle as rays see it: bits of its corners, and what its material lets through.
+/// A triangle as rays see it: bits of its corners, and what its material lets through there.
 type Triangle = ([[u32; 3]; 3], String);
 
 /// Boxes around surfaces that one scene has and the other has not.
 #[derive(Debug, Default)]
 pub(super) struct Changes {
     boxes: Vec<Bounds>,
+    /// The part of them that are cells, and a cell's side.
+    cells: HashSet<[i32; 3]>,
+    cell_m: f32,
+    /// Boxes that are no cells.
+    large: Vec<Bounds>,
 }
 
 impl Changes {
@@ -30,26 +36,42 @@ impl Changes {
         for (scene, step) in [(before, 1), (after, -1)] {
             for draw in &scene.draws.draws {
                 let material = &scene.manifest.materials[draw.material as usize];
-                let cut = material.alpha_cutoff.map(|cutoff| (cutoff, &material.base_colour_texture));
-                let passed = format!("{:?} {cut:?} {:?}", material.double_sided, material.glass);
+                let passes = material.alpha_cutoff.is_some() || material.glass.is_some();
+                let image = material.base_colour_texture.as_ref().filter(|_| passes).map(|of| {
+                    let chunk = scene.manifest.chunks(TEXTURES).get(of.texture as usize);
+                    (chunk.map(|chunk| chunk.digest), of.wrap)
+                });
+                let alike = (material.double_sided, material.alpha_cutoff, material.glass.as_ref(), image);
+                let colour = passes.then_some(material.base_colour);
+                let of_material = format!("{alike:?} {colour:?}");
                 for corners in &draw.triangles {
-                    let corners =
-                        corners.map(|corner| draw.vertices[corner as usize].position_m.map(f32::to_bits));
-                    *triangles.entry((corners, passed.clone())).or_default() += step;
+                    // The same triangle, whichever corner comes first.
+                    let [a, b, c] = *corners;
+                    let turns = [[a, b, c], [b, c, a], [c, a, b]];
+                    let bits = |corner: u32| draw.vertices[corner as usize].position_m.map(f32::to_bits);
+                    let corners = turns.into_iter().min_by_key(|turn| turn.map(bits)).unwrap_or([a, b, c]);
+                    let passed = match passes {
+                        true => {
+                            let at = corners.map(|corner| &draw.vertices[corner as usize]);
+                            format!("{of_material} {:?}", at.map(|vertex| (vertex.uv, vertex.colour)))
+                        }
+                        false => of_material.clone(),
+                    };
+                    *triangles.entry((corners.map(bits), passed)).or_default() += step;
                 }
             }
         }
         let cell_m =
             [before, after].map(LoadedScene::diagonal_m).into_iter().fold(f32::MIN_POSITIVE, f32::max)
                 / CELLS;
-        let (mut cells, mut boxes) = (BTreeSet::new(), Vec::new());
+        let (mut cells, mut large) = (BTreeSet::new(), Vec::new());
         for ((corners, _), _) in triangles.iter().filter(|(_, count)| **count != 0) {
             let [a, b, c] = corners.map(|corner| Vec3::from(corner.map(f32::from_bits)));
             let (low, high) = (a.min(b).min(c), a.max(b).max(c));
             let [first, last] = [low, high].map(|corner| (corner / cell_m).floor().as_ivec3());
             let size = last - first + 1;
             if size.max_element() > TRIANGLE_CELLS_MAX || size.element_product() > TRIANGLE_CELLS_MAX {
-                boxes.push([low, high]);
+                large.push([low, high]);
                 continue;
             }
             for z in first.z..=last.z {
@@ -59,13 +81,21 @@ impl Changes {
             }
         }
         let bounds = |[z, y, x]: [i32; 3]| [0, 1].map(|end| (IVec3::new(x, y, z) + end).as_vec3() * cell_m);
-        boxes.extend(cells.into_iter().map(bounds));
-        Self { boxes }
+        let boxes = large.iter().copied().chain(cells.iter().copied().map(bounds)).collect();
+        Self { boxes, cells: cells.into_iter().collect(), cell_m, large }
     }
 
     /// Whether something has changed within bounds.
     pub(super) fn meet(&self, [low, high]: Bounds) -> bool {
-        self.boxes.iter().any(|[from, to]| low.cmple(*to).all() && from.cmple(high).all())
+        let is_met = |[from, to]: &Bounds| low.cmple(*to).all() && from.cmple(high).all();
+        let [first, last] = [low, high].map(|corner| (corner / self.cell_m).floor().as_ivec3());
+        let cells = (last - first + 1).as_vec3().element_product();
+        if cells > self.cells.len() as f32 {
+            return self.boxes.iter().any(is_met);
+        }
+        let mut along = (first.z..=last.z).flat_map(|z| (first.y..=last.y).map(move |y| [z, y]));
+        let has_cell = |[z, y]: [i32; 2]| (first.x..=last.x).any(|x| self.cells.contains(&[z, y, x]));
+        self.large.iter().any(is_met) || along.any(has_cell)
     }
 
     /// Whether something has changed on a way from within one box to within another.
@@ -133,5 +163,17 @@ mod tests {
         let mut other = scene("prt");
         other.manifest.materials[0].double_sided ^= true;
         assert!(!Changes::between(&before, &other).boxes.is_empty());
+        // And so does one that is cut out otherwise; another colour of a surface that stops all light is no change.
+        let [mut cut, mut other] = [scene("prt"), scene("prt")];
+        other.manifest.materials[0].base_colour[3] = 0.3;
+        assert!(Changes::between(&cut, &other).boxes.is_empty());
+        for scene in [&mut cut, &mut other] {
+            scene.manifest.materials[0].alpha_cutoff = Some(0.5);
+        }
+        assert!(!Changes::between(&cut, &other).boxes.is_empty());
+        // Corners that are listed in another order are the same triangle.
+        let mut turned = scene("prt");
+        turned.draws.draws[0].triangles.iter_mut().for_each(|corners| corners.rotate_left(1));
+        assert!(Changes::between(&before, &turned).boxes.is_empty());
     }
 }

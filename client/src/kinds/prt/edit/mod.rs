@@ -16,16 +16,18 @@ mod changes;
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::ops::Range;
 
 use glam::{IVec3, Vec3};
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{
-    BlockKey, ClusterTransport, EmitterIrradiance, Patch, PatchKey, PatchSet, Texel,
+    BlockKey, ClusterTransport, EmitterIrradiance, NearSurface, Patch, PatchKey, PatchSet, Texel,
 };
 use lightkiln_proto::harmonics::relight_direction;
+use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::prt::PATCHES;
 use lightkiln_proto::kinds::voxels;
-use lightkiln_proto::manifest::{CLUSTERS, Manifest};
+use lightkiln_proto::manifest::{CLUSTERS, Manifest, Material, TEXTURES, TextureUse};
 use lightkiln_proto::relight::{Ends, Inconsistent, PatchTable, WalkedTable};
 use lightkiln_proto::voxels::{IRRADIANCE_WALKS, VOXELS, WALK_WEIGHT, walked};
 use rayon::prelude::*;
@@ -43,7 +45,7 @@ use crate::threads::Threads;
 /// A receiver by name.
 type Name = (BlockKey, Texel);
 
-/// Reach of near hits, and of walls that cut texels, in texels.
+/// Reach of walls that cut texels, in texels; near hits may lie farther.
 const NEAR_TEXELS: f32 = 3.0;
 /// A receiver that moved no farther than such a share of a texel is where it was: clusters store places by numbers of their own.
 const MOVED_TEXELS: f32 = 1.0 / 64.0;
@@ -175,6 +177,8 @@ struct Comparison<'a> {
     same: Vec<Option<u32>>,
     receivers: HashMap<Name, Receiver>,
     blocks: HashSet<BlockKey>,
+    /// Materials have other colours, which hits on surfaces without texels keep.
+    has_other_colours: bool,
     /// Columns are compared, not walks.
     by_columns: bool,
     texel_m: f32,
@@ -194,6 +198,7 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
         changes: Changes::between(&was.scene, &is.scene),
         receivers: receivers(&is.clusters),
         blocks: is.scene.lightmap.blocks.iter().map(|block| block.key).collect(),
+        has_other_colours: colours(&was.scene.manifest) != colours(&is.scene.manifest),
         by_columns: ends_before.is_none(),
         texel_m: is.scene.manifest.layout()?.texel_m,
         before: &was,
@@ -202,7 +207,8 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
         same,
     };
     let (mut contents, mut read) = (Vec::new(), Vec::new());
-    for of in was.clusters.iter().filter_map(|cluster| comparison.kept(cluster)) {
+    let left: Vec<Option<Kept>> = was.clusters.par_iter().map(|cluster| comparison.kept(cluster)).collect();
+    for of in left.into_iter().flatten() {
         contents.push(of.cluster);
         read.push(of.read);
     }
@@ -235,6 +241,14 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
     Ok(Edited { bake: LoadedBake { scene: is.scene.into(), light: Box::new(light) }, provisional })
 }
 
+/// Colours of all materials; of images their digests.
+fn colours(manifest: &Manifest) -> Vec<([f32; 4], Option<Digest>)> {
+    let image = |of: &TextureUse| Some(manifest.chunks(TEXTURES).get(of.texture as usize)?.digest);
+    let of =
+        |material: &Material| (material.base_colour, material.base_colour_texture.as_ref().and_then(image));
+    manifest.materials.iter().map(of).collect()
+}
+
 fn receivers(clusters: &[ClusterTransport]) -> HashMap<Name, Receiver> {
     let mut all = HashMap::new();
     for cluster in clusters {
@@ -258,10 +272,21 @@ impl Comparison<'_> {
         if self.by_columns && self.is_parted(cluster) {
             return None;
         }
+        let reach_m = cluster.near.reach_m.max(NEAR_TEXELS * self.texel_m);
+        let has_own = |hits: Range<usize>| {
+            let hits = cluster.near.surface.get(hits).unwrap_or_default();
+            self.has_other_colours && hits.iter().any(|hit| matches!(hit, NearSurface::Own { .. }))
+        };
+        let own = cluster.near.ranges().map(has_own).chain(std::iter::repeat(false));
         let places = cluster.receivers.position_m.iter().zip(&cluster.receivers.normal);
-        let places: HashMap<Name, (Vec3, Vec3)> =
-            names(cluster).zip(places.map(|(at, normal)| (Vec3::from(*at), Vec3::from(*normal)))).collect();
-        let mut kept = only(cluster, |name| places.get(&name).is_some_and(|was| self.is_same(name, *was)))?;
+        let same: HashSet<Name> = names(cluster)
+            .zip(places.zip(own))
+            .filter(|(name, ((at, normal), own))| {
+                !own && self.is_same(*name, (Vec3::from(**at), Vec3::from(**normal)), reach_m)
+            })
+            .map(|(name, _)| name)
+            .collect();
+        let mut kept = only(cluster, |name| same.contains(&name))?;
         let number = |key: &u64| self.before.light.transport.columns.number(PatchKey(*key).patch());
         let reads = |key: &&u64| self.column(PatchKey(**key)).is_some();
         let read = kept.factors.keys.iter().filter(reads).filter_map(number).collect();
@@ -335,8 +360,7 @@ impl Comparison<'_> {
     }
 
     /// Whether a receiver is there still, and nothing near it is another.
-    fn is_same(&self, name: Name, (position_m, normal): (Vec3, Vec3)) -> bool {
-        let reach_m = NEAR_TEXELS * self.texel_m;
+    fn is_same(&self, name: Name, (position_m, normal): (Vec3, Vec3), reach_m: f32) -> bool {
         self.receivers.get(&name).is_some_and(|now| {
             position_m.distance(now.position_m) <= MOVED_TEXELS * self.texel_m
                 && normal.dot(now.normal) >= TURNED_COSINE
