@@ -45,11 +45,6 @@ impl Shape {
         self.scaled_normal.normalize()
     }
 
-    /// Lower and upper corner of its bounds.
-    pub fn bounds_m(&self) -> [DVec3; 2] {
-        [self.low, self.high]
-    }
-
     /// Whether it touches the cube of a lattice.
     pub fn touches(&self, cell: IVec3, side_m: f64) -> bool {
         let low = cell.as_dvec3() * side_m;

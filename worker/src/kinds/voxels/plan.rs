@@ -130,21 +130,17 @@ fn regions(world: &World, voxel_m: f64) -> Result<BTreeSet<BrickKey>, TaskError>
     if f64::from(reach) / side_m >= f64::from(BRICKS_MAX >> REGION_LEVELS) {
         return Err(too_many());
     }
+    // Cube that holds all regions in reach.
+    let doublings = (2.0 * f64::from(reach) / side_m).max(1.0).log2().ceil() as u32 + 1;
     let of_triangle = |index: u32| {
         let mut found = Vec::new();
         if geometry.material(index).glass.is_some() {
             return found;
         }
-        let Some(shape) = Shape::new(geometry.corners(index)) else { return found };
-        let [low, high] = shape.bounds_m().map(|corner| (corner / side_m).floor().as_ivec3());
-        for z in low.z..=high.z {
-            for y in low.y..=high.y {
-                for x in low.x..=high.x {
-                    let cell = IVec3::new(x, y, z);
-                    if found.len() <= REGIONS_MAX && shape.touches(cell, side_m) {
-                        found.push(BrickKey::new(REGION_LEVELS - 1, cell));
-                    }
-                }
+        if let Some(shape) = Shape::new(geometry.corners(index)) {
+            // Eight cubes meet in the origin.
+            for part in 0..8 {
+                enter(&shape, side_m, (doublings, octant(IVec3::NEG_ONE, part)), &mut found);
             }
         }
         found
@@ -163,4 +159,64 @@ fn regions(world: &World, voxel_m: f64) -> Result<BTreeSet<BrickKey>, TaskError>
             a
         });
     if found.len() > REGIONS_MAX { Err(too_many()) } else { Ok(found) }
+}
+
+/// One of the eight halves of cells, the lowest being `low`.
+fn octant(low: IVec3, part: i32) -> IVec3 {
+    low + IVec3::new(part & 1, part >> 1 & 1, part >> 2)
+}
+
+/// Adds the regions of a cube that a triangle touches, until there are too many: a scene of great extent has far more cells than any triangle
+/// touches.
+fn enter(shape: &Shape, side_m: f64, (doublings, cell): (u32, IVec3), found: &mut Vec<BrickKey>) {
+    if found.len() > REGIONS_MAX || !shape.touches(cell, side_m * 2.0_f64.powi(doublings as i32)) {
+        return;
+    }
+    if doublings == 0 {
+        found.push(BrickKey::new(REGION_LEVELS - 1, cell));
+        return;
+    }
+    for part in 0..8 {
+        enter(shape, side_m, (doublings - 1, octant(2 * cell, part)), found);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regions of one triangle, of regions 1 m wide.
+    fn of(corners: [[f32; 3]; 3], doublings: u32) -> Vec<BrickKey> {
+        let shape = Shape::new(corners.map(Vec3::from)).unwrap();
+        let mut found = Vec::new();
+        for part in 0..8 {
+            enter(&shape, 1.0, (doublings, octant(IVec3::NEG_ONE, part)), &mut found);
+        }
+        found.sort_unstable();
+        found
+    }
+
+    #[test]
+    fn regions_of_a_triangle_are_those_that_it_touches() {
+        let corners = [[-2.4, 0.3, -1.7], [3.2, 1.6, 0.4], [0.1, -2.8, 2.2]];
+        let shape = Shape::new(corners.map(Vec3::from)).unwrap();
+        let mut wanted = Vec::new();
+        for z in -5..5 {
+            for y in -5..5 {
+                let along = (-5..5).map(|x| IVec3::new(x, y, z)).filter(|cell| shape.touches(*cell, 1.0));
+                wanted.extend(along.map(|cell| BrickKey::new(REGION_LEVELS - 1, cell)));
+            }
+        }
+        wanted.sort_unstable();
+        assert!(wanted.len() > 20);
+        for doublings in [3, 9] {
+            assert_eq!(of(corners, doublings), wanted);
+        }
+    }
+
+    #[test]
+    fn sliver_through_a_million_cells_along_each_axis_is_soon_too_many_regions() {
+        let far = 100_000.0;
+        assert_eq!(of([[-far; 3], [far, far, far - 0.1], [far, far - 0.1, far]], 18).len(), REGIONS_MAX + 1);
+    }
 }

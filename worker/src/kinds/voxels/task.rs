@@ -24,6 +24,8 @@ const CHUNK: &str = "elements";
 const TOTALS: &str = "totals";
 /// Triangles whose touches are held at a time. More → more threads are kept busy, more memory.
 const TRIANGLES_AT_ONCE: usize = 1 << 12;
+/// Voxels that their bounds span at most, but for one triangle: large ones are held by fewer.
+const SPANNED_AT_ONCE: f64 = 4e6;
 
 /// Runs `voxels.region` or `voxels.top`, by its parameters: inputs are those of `prt.transport` without cells; outputs `elements`, `totals`,
 /// `record`.
@@ -85,7 +87,7 @@ impl Voxelised {
         let (mut elements, mut leaves) = (Elements::new(voxel_m), Vec::new());
         let mut reads: Vec<Name> = Vec::new();
         progress.begin(0.0, 0.95, triangles.len() as u64);
-        for some in triangles.chunks(TRIANGLES_AT_ONCE) {
+        for some in at_once(&triangles, &scopes) {
             for (touches, of_leaves, names) in touches(surfaces, stage, &scopes, some, progress)? {
                 touches.iter().for_each(|(place, touch)| elements.add(*place, touch));
                 leaves.extend(of_leaves);
@@ -111,6 +113,24 @@ impl Voxelised {
         };
         Ok(Self { part: without_idle_glows(part), reads })
     }
+}
+
+/// Runs of triangles whose touches fit into memory together, however large they are.
+fn at_once<'a>(triangles: &'a [Triangle], scopes: &[Scope]) -> Vec<&'a [Triangle]> {
+    let spanned = |triangle: &Triangle| scopes.iter().map(|scope| scope.spanned(triangle)).sum::<f64>();
+    let (mut runs, mut first, mut sum) = (Vec::new(), 0, 0.0);
+    for (index, triangle) in triangles.iter().enumerate() {
+        let more = spanned(triangle);
+        if index > first && (index - first == TRIANGLES_AT_ONCE || sum + more > SPANNED_AT_ONCE) {
+            runs.push(&triangles[first..index]);
+            (first, sum) = (index, 0.0);
+        }
+        sum += more;
+    }
+    if first < triangles.len() {
+        runs.push(&triangles[first..]);
+    }
+    runs
 }
 
 /// Touches of some triangles, leaves of the patches that they name, and names of what was read.
@@ -186,4 +206,30 @@ fn is_of_voxels(name: &str, output: &str) -> bool {
     name.strip_prefix("voxels/")
         .and_then(|rest| rest.strip_suffix(output))
         .is_some_and(|rest| rest.ends_with('/'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::IVec3;
+
+    #[test]
+    fn few_large_triangles_are_held_at_a_time_and_none_is_left_out() {
+        let scope = Scope { voxel_m: 0.01, first: 2, last: 10, root_doublings: 14, root: IVec3::ZERO };
+        let triangle = |index: u32, size_m: f32| Triangle {
+            index,
+            corners: [Vec3::ZERO, size_m * Vec3::X, size_m * Vec3::new(0.0, 1.0, 0.2)].map(|at| at + 1.0),
+            is_double_sided: false,
+            glow: 0,
+            lowest_level: 0,
+        };
+        for (size_m, most) in [(0.02, TRIANGLES_AT_ONCE), (35.0, 10)] {
+            let triangles: Vec<Triangle> = (0..10_000).map(|index| triangle(index, size_m)).collect();
+            let runs = at_once(&triangles, &[scope]);
+            assert!(runs.iter().all(|run| (1..=most).contains(&run.len())), "{size_m} m: {}", runs[0].len());
+            let order: Vec<u32> = runs.iter().flat_map(|run| run.iter()).map(|t| t.index).collect();
+            assert_eq!(order, (0..10_000).collect::<Vec<_>>());
+        }
+        assert!(at_once(&[], &[scope]).is_empty());
+    }
 }

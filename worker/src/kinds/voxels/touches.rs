@@ -99,6 +99,20 @@ impl Scope {
         [self.root, self.root + 1].map(|cell| (cell.as_dvec3() * side_m).as_vec3())
     }
 
+    /// Voxels of all its levels that the larger sides of a triangle's bounds in it span: about as many as the triangle touches at most.
+    pub fn spanned(&self, triangle: &Triangle) -> f64 {
+        let [low_m, high_m] = self.bounds_m();
+        let [a, b, c] = triangle.corners.map(|corner| corner.clamp(low_m, high_m));
+        let mut sides_m = (a.max(b).max(c) - a.min(b).min(c)).as_dvec3().to_array();
+        sides_m.sort_unstable_by(|a, b| b.total_cmp(a));
+        let first = self.first.max(triangle.lowest_level);
+        let of_level = |level: u32| {
+            let side_m = self.voxel_m * 2.0_f64.powi(level as i32);
+            (sides_m[0] / side_m + 1.0) * (sides_m[1] / side_m + 1.0)
+        };
+        (first..=self.last).map(of_level).sum()
+    }
+
     /// The touches of a triangle, ascending by place.
     pub fn touches(&self, triangle: &Triangle, sides: &impl Sides) -> Vec<(Place, Touch)> {
         let mut found = BTreeMap::new();
