@@ -15,6 +15,15 @@ const GREEN: [f32; 3] = [0.14, 0.45, 0.091];
 /// The classic box: 5.5 m, red wall on the left, green on the right, two boxes, and one warm ceiling panel that
 /// lies flush in a hole of the ceiling.
 pub fn cornell() -> Vec<u8> {
+    classic(true)
+}
+
+/// The same without the short box.
+pub fn cornell_of_one_box() -> Vec<u8> {
+    classic(false)
+}
+
+fn classic(has_short_box: bool) -> Vec<u8> {
     let mut glb = Glb::new("cornell");
     let white = glb.material(Surface::diffuse("white", WHITE));
     let red = glb.material(Surface::diffuse("red", RED));
@@ -34,7 +43,9 @@ pub fn cornell() -> Vec<u8> {
 
     let short = shapes::standing_box(Vec3::ZERO, Vec3::new(1.65, 1.65, 1.65), 0.0);
     let short = glb.mesh("short box", &[(&short, white)]);
-    glb.place("short box", short, Vec3::new(0.93, 0.0, -1.69), -0.29);
+    if has_short_box {
+        glb.place("short box", short, Vec3::new(0.93, 0.0, -1.69), -0.29);
+    }
     let tall = shapes::standing_box(Vec3::ZERO, Vec3::new(1.65, 3.3, 1.65), 0.0);
     let tall = glb.mesh("tall box", &[(&tall, white)]);
     glb.place("tall box", tall, Vec3::new(-0.94, 0.0, -3.51), 0.31);

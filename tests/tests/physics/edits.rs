@@ -3,22 +3,16 @@
 
 use std::sync::Mutex;
 
-use glam::{DVec3, Vec3};
-use lightkiln_client::bake::LoadedBake;
-use lightkiln_client::fetch::Source;
-use lightkiln_client::kinds;
-use lightkiln_client::lights::{parse_camera, parse_lights};
-use lightkiln_client::preview::{Backend, View, render};
+use glam::Vec3;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{Artefact, TaskSpec};
 use lightkiln_tests::harness::{Bakery, Rebaked, Recipe, bake};
 use lightkiln_tests::scenes::{FLAT_WALL_M, Flat, Thing, flat};
 use lightkiln_worker::kinds::{BakeKinds, Runner};
 use lightkiln_worker::rays::sampling::Sequence;
-use lightkiln_worker::reference::luminance;
 use lightkiln_worker::task::{ArtefactSource, MemoryCache, Progress, TaskError, TaskOutput, TaskRunner};
 
-use super::setup::{small, with_texels};
+use super::setup::small;
 
 /// Receivers of the flat, about; and of one that is edited many times.
 const RECEIVERS: u32 = 3000;
@@ -304,63 +298,4 @@ fn edited(of: &mut Flat, edit: usize, sequence: &mut Sequence) -> &'static str {
             "glass changed"
         }
     }
-}
-
-/// Luminances of a small picture of the flat from above its first thing.
-fn seen(bake: &LoadedBake, at_m: Vec3) -> Vec<f64> {
-    let eye = at_m + Vec3::new(0.9, 1.1, 0.8);
-    let camera = format!("eye={},{},{} target={},{},{} fov=70", eye.x, eye.y, eye.z, at_m.x, at_m.y, at_m.z);
-    let light = format!("point pos={},{},{} power=60", at_m.x - 0.8, at_m.y + 1.6, at_m.z + 0.7);
-    let lights = parse_lights(&[light]).unwrap().lights;
-    let (mut view, _) = View::of_bake(bake, Some(parse_camera(&camera).unwrap()), Some(lights)).unwrap();
-    (view.width, view.height, view.samples) = (160, 90, 1);
-    let picture = render(bake, &view, Backend::Cpu).unwrap();
-    picture.linear.iter().map(|rgb| luminance(DVec3::from(rgb.map(f64::from)))).collect()
-}
-
-/// An edit that is shown before it is baked: walks bring what it changes, and the bake of before the rest.
-#[test]
-fn moved_chair_is_shown_before_its_bake_as_it_is_after_it() {
-    let recipe = with_texels("prt", 0.125, 128).with("voxels", "on");
-    // Walks pass a pane as if it were not there.
-    let mut of = Flat { pane: 0.0, ..Flat::default() };
-    let folder = tempfile::tempdir().unwrap();
-    let opened = |name: &str, of: &Flat, recipe: &Recipe| {
-        let folder = folder.path().join(name);
-        bake(flat(of), recipe).unwrap().write(&folder).unwrap();
-        Source::bundle(&folder).unwrap()
-    };
-    let kinds = kinds::all();
-    let loaded = |source: &Source| LoadedBake::load(source, &kinds).unwrap();
-    let before = opened("before", &of, &recipe);
-    of.things[0].at_m += Vec3::new(0.3, 0.0, -0.1);
-    let (_, manifest) = before.manifest().unwrap();
-    let kind = kinds.of(&manifest).unwrap();
-    let quick = kind.quick_bake(&manifest).unwrap();
-    let after = opened("after", &of, &Recipe { kind: quick.kind, settings: quick.settings });
-    let edited = kind.edited(&before, &after).unwrap();
-    let at_m = of.things[0].at_m;
-    let wanted = seen(&loaded(&opened("baked", &of, &recipe)), at_m);
-    let error = |bake: &LoadedBake| {
-        let squares: f64 = seen(bake, at_m).iter().zip(&wanted).map(|(a, b)| (a - b).powi(2)).sum();
-        (squares / wanted.len() as f64).sqrt() / (wanted.iter().sum::<f64>() / wanted.len() as f64)
-    };
-    let [stale, walks] = [&before, &after].map(|source| error(&loaded(source)));
-    let shown = error(&edited.bake);
-    println!("error {shown:.4}, of the bake of before {stale:.4}, of walks alone {walks:.4}");
-    assert!(shown < 0.25 * stale && shown < 0.8 * walks, "{shown}, {stale}, {walks}");
-    // A thing that is gone leaves clusters that it shared with the floor.
-    of.things.remove(1);
-    let without =
-        opened("without", &of, &Recipe { kind: quick.kind, settings: after.manifest().unwrap().1.settings });
-    let gone = kind.edited(&before, &without).unwrap();
-    assert!(gone.provisional.len() < edited.provisional.len());
-    let map = edited.bake.light.lightmap(&edited.bake.scene).unwrap();
-    let far = map.receivers.position_m.iter().map(|at_m| at_m.x > FLAT_WALL_M + 0.2);
-    let far: Vec<f32> =
-        far.zip(&edited.provisional).filter(|(is_far, _)| *is_far).map(|(_, share)| *share).collect();
-    assert!(
-        far.len() > 500 && far.iter().all(|share| *share == 0.0),
-        "behind the wall nothing is provisional"
-    );
 }

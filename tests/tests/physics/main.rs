@@ -23,6 +23,7 @@ mod rims;
 mod scale;
 mod seams;
 mod setup;
+mod shown;
 mod slopes;
 mod smallest;
 mod stripes;

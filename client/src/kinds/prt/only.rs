@@ -78,20 +78,32 @@ fn keep_hits(near: &mut NearHits, keep: &[bool]) {
     keep_of(&mut near.weight, keep);
 }
 
-/// Gives columns other keys, and leaves those out that get none; several may get the same.
-pub fn rename_columns(factors: &mut TransportFactors, name: impl Fn(u64) -> Option<u64>) {
-    let renamed: Vec<Option<u64>> = factors.keys.iter().map(|key| name(*key)).collect();
-    let of_keys: Vec<bool> = renamed.iter().map(Option::is_some).collect();
-    let (of_key, columns) = (factors.coefficients(), factors.columns());
-    let is_kept = |column: usize| of_keys.get(column / of_key).copied().unwrap_or(true);
-    let mut column = 0;
-    factors.vt.retain(|_| {
-        let at = column % columns;
-        column += 1;
-        is_kept(at)
-    });
-    keep_of(&mut factors.steps.scale, &of_keys);
-    factors.keys = renamed.into_iter().flatten().collect();
+/// Gives each column the keys of those that together are it now, with their factors, and leaves those out that get none; several columns may
+/// get the same key.
+pub fn rename_columns(factors: &mut TransportFactors, names: impl Fn(u64) -> Vec<(u64, f32)>) {
+    let of_key = factors.coefficients();
+    let renamed: Vec<Vec<(u64, f32)>> = factors.keys.iter().map(|key| names(*key)).collect();
+    // By new column, those of the sky last: the old one and its factor.
+    let new = renamed
+        .iter()
+        .enumerate()
+        .flat_map(|(old, names)| names.iter().map(move |(_, factor)| (old, *factor)));
+    let sky = factors.sky.then_some((factors.keys.len(), 1.0));
+    let new: Vec<(usize, f32)> = new.chain(sky).collect();
+    let rows = factors.vt.chunks(factors.columns().max(1));
+    let row = |row: &[f32]| -> Vec<f32> {
+        let of = |&(old, factor): &(usize, f32)| {
+            row.iter().skip(old * of_key).take(of_key).map(move |number| factor * number)
+        };
+        new.iter().flat_map(of).collect()
+    };
+    factors.vt = rows.flat_map(row).collect();
+    let scale = &factors.steps.scale;
+    let of_keys = new.iter().filter(|(old, _)| *old < factors.keys.len());
+    // What is stored are whole numbers of steps.
+    factors.steps.scale =
+        of_keys.map(|(old, factor)| scale.get(*old).copied().unwrap_or(1.0) * factor.abs()).collect();
+    factors.keys = renamed.into_iter().flatten().map(|(key, _)| key).collect();
 }
 
 fn keep_of<T>(values: &mut Vec<T>, keep: &[bool]) {
@@ -145,12 +157,16 @@ mod tests {
     }
 
     #[test]
-    fn columns_that_stay_keep_their_numbers() {
+    fn columns_keep_their_numbers_by_factors_under_other_names() {
         let mut factors = TransportFactors { keys: vec![3, 5, 9], rank: 2, sky: true, ..Default::default() };
         factors.vt = (0..8).map(|number| number as f32).collect();
         factors.steps.scale = vec![1.0, 2.0, 3.0];
-        rename_columns(&mut factors, |key| (key != 5).then_some(key.max(7)));
-        assert_eq!((&factors.keys[..], &factors.steps.scale[..]), (&[7, 9][..], &[1.0, 3.0][..]));
-        assert_eq!(factors.vt, [0.0, 2.0, 3.0, 4.0, 6.0, 7.0]);
+        rename_columns(&mut factors, |key| match key {
+            3 => vec![(7, 1.0)],
+            5 => Vec::new(),
+            key => vec![(key, 1.0), (4, -0.5)],
+        });
+        assert_eq!((&factors.keys[..], &factors.steps.scale[..]), (&[7, 9, 4][..], &[1.0, 3.0, 1.5][..]));
+        assert_eq!(factors.vt, [0.0, 2.0, -1.0, 3.0, 4.0, 6.0, -3.0, 7.0]);
     }
 }

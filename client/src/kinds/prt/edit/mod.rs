@@ -6,22 +6,22 @@
 //! ```text
 //! E_ind = U·b + N + W(now) − W(before)
 //! ```
-//! Of patches that are gone factors read those that they were part of. Ends of before have the light of the patches that the receiver's columns
+//! Of patches that are others now factors read their parts, and of those that are gone the patches that they were part of. Ends of before have the light of the patches that the receiver's columns
 //! tell apart, which may be coarse: so what the factors bring of them is taken away.
 //! The directions are the same before and after, so that only those count which end elsewhere: where none does, the light is the bake's. All
 //! other receivers have W alone. Bakes without voxels have no walks before: a cluster is kept as a whole where nothing has changed between it
 //! and the patches and parts of the sky that it reads.
 
 mod changes;
+mod parts;
 
-use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 
 use glam::{IVec3, Vec3};
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{
-    BlockKey, ClusterTransport, EmitterIrradiance, NearSurface, Patch, PatchKey, PatchSet, Texel,
+    BlockKey, ClusterTransport, EmitterIrradiance, NearSurface, PatchKey, PatchSet, Texel,
 };
 use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::ids::Digest;
@@ -34,6 +34,7 @@ use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
 use self::changes::{Bounds, Changes};
+use self::parts::{Parts, parts_of};
 use super::only::{names, only, rename_columns};
 use crate::bake::{Edited, LoadedBake, QuickBake};
 use crate::error::{ClientError, Result};
@@ -42,6 +43,8 @@ use crate::lightmap::LightmapLight;
 use crate::scene::LoadedScene;
 use crate::threads::Threads;
 
+/// Whether something of the patch itself is left.
+type IsOwn = bool;
 /// A receiver by name.
 type Name = (BlockKey, Texel);
 
@@ -51,8 +54,6 @@ const NEAR_TEXELS: f32 = 3.0;
 const MOVED_TEXELS: f32 = 1.0 / 64.0;
 /// Least cosine between its normals then.
 const TURNED_COSINE: f32 = 0.999;
-/// Receivers of a patch that are asked which patch they are in now, about.
-const RECEIVERS_ASKED: usize = 8;
 /// Half width of a part of the sky at a distance of 1.
 const SKY_WIDTH: f32 = 0.25;
 
@@ -88,47 +89,18 @@ impl Opened {
         Ok(Self { scene, clusters, patches, light })
     }
 
-    /// By patch: the number in another bake of the patch of its place that has the most of its receivers. Keys alone do not tell: those of a
-    /// place are numbered, and a thing that comes or goes gives others its number.
-    fn same_in(&self, other: &Self) -> Vec<Option<u32>> {
-        let set = &self.patches;
-        let (columns, slots) = (&other.light.transport.columns, &other.light.transport.slots);
-        let finest = columns.finest_of_slots();
-        let of = |patch: &Patch| {
-            let [first, end] = [patch.first_leaf, patch.first_leaf + patch.leaf_count]
-                .map(|leaf| set.leaf_starts.get(leaf as usize).map_or(0, |start| *start as usize));
-            let mut found: Vec<u32> = (first..end)
-                .step_by(((end.max(first) - first) / RECEIVERS_ASKED).max(1))
-                .filter_map(|entry| {
-                    let block = *set.blocks.get(*set.block.get(entry)? as usize)?;
-                    let slot = slots.slot_of(block, *set.texel.get(entry)?)?;
-                    let chain = std::iter::successors(finest.get(slot as usize).copied(), |at| {
-                        columns.patches.get(*at as usize).map(|row| row.parent)
-                    });
-                    let keys = chain.map_while(|at| Some((at, other.patches.patches.get(at as usize)?.key)));
-                    let mut there = keys.filter(|(_, key)| is_of_place(*key, patch.key));
-                    let first = there.next()?;
-                    let own = std::iter::once(first).chain(there).find(|(_, key)| *key == patch.key);
-                    Some(own.unwrap_or(first).0)
-                })
-                .collect();
-            found.sort_unstable();
-            let runs = found.chunk_by(|a, b| a == b).map(|run| (run.len(), Reverse(run[0])));
-            runs.max().map(|(_, Reverse(number))| number)
-        };
-        set.patches.par_iter().map(of).collect()
-    }
-
-    /// By patch: its number in another bake, where `same` says it, or that of the first one there that it is part of.
-    fn numbers_of(&self, same: &[Option<u32>]) -> Vec<Option<u32>> {
+    /// By patch: what it is in another bake, or of one of which nothing is left what that is which it was part of.
+    fn parts_in(&self, other: &Self) -> Vec<(Parts, IsOwn)> {
+        let of = parts_of(&self.patches, &other.patches, &other.light.transport.columns);
         let rows = &self.light.transport.columns.patches;
-        let of = |mut patch: u32| loop {
-            if let Some(number) = *same.get(patch as usize)? {
-                return Some(number);
-            }
-            patch = rows.get(patch as usize)?.parent;
+        let found = |patch: u32| {
+            let whole = |at: &u32| rows.get(*at as usize).map(|row| row.parent);
+            let mut wholes =
+                std::iter::successors(Some(patch), whole).map_while(|at| Some((at, of.get(at as usize)?)));
+            let (at, parts) = wholes.find(|(_, parts)| !parts.is_empty())?;
+            Some((parts.clone(), at == patch))
         };
-        (0..same.len() as u32).map(of).collect()
+        (0..of.len() as u32).map(|patch| found(patch).unwrap_or_default()).collect()
     }
 
     /// Ends of the walks of the receivers of another bake, as places in this one's λ, ascending; `None` of a bake without voxels.
@@ -139,9 +111,30 @@ impl Opened {
         Some(other.clusters.iter().flat_map(names).zip(ends).map(|(name, ends)| (name, ends.added)).collect())
     }
 
+    /// Key of a patch.
+    fn key(&self, patch: u32) -> Option<PatchKey> {
+        self.patches.patches.get(patch as usize).map(|patch| patch.key)
+    }
+
     /// Place in λ of the sky's first part.
     fn first_of_sky(&self) -> u32 {
         2 * self.patches.patches.len() as u32
+    }
+
+    /// Columns that together read the radiance of some patches less that of others, with their factors.
+    fn difference(&self, parts: &Parts, wholes: &Parts) -> Vec<(PatchKey, f32)> {
+        let rows = &self.light.transport.columns.patches;
+        if let ([(part, _)], [(whole, _)]) = (&parts[..], &wholes[..]) {
+            let parent = rows.get(*part as usize).map(|row| row.parent);
+            if parent == Some(*whole) {
+                return self.key(*part).map(|key| (key.difference(), 1.0)).into_iter().collect();
+            }
+        }
+        let mut all: BTreeMap<u32, f32> = BTreeMap::new();
+        parts.iter().for_each(|(patch, share)| *all.entry(*patch).or_default() += share);
+        wholes.iter().for_each(|(patch, share)| *all.entry(*patch).or_default() -= share);
+        let of = |(patch, share): (u32, f32)| Some((self.key(patch)?, share));
+        all.into_iter().filter(|(_, share)| *share != 0.0).filter_map(of).collect()
     }
 }
 
@@ -150,11 +143,6 @@ struct Kept {
     cluster: ClusterTransport,
     /// Patches of before that it has columns of.
     read: HashSet<u32>,
-}
-
-/// Whether two patches are of one cell and direction.
-fn is_of_place(a: PatchKey, b: PatchKey) -> bool {
-    (a.level(), a.direction(), a.cell()) == (b.level(), b.direction(), b.cell())
 }
 
 /// A receiver of the edited scene.
@@ -171,10 +159,8 @@ struct Comparison<'a> {
     changes: Changes,
     before: &'a Opened,
     after: &'a Opened,
-    /// As [`Opened::numbers_of`].
-    numbers: Vec<Option<u32>>,
-    /// As [`Opened::same_in`].
-    same: Vec<Option<u32>>,
+    /// As [`Opened::parts_in`].
+    parts: Vec<(Parts, IsOwn)>,
     receivers: HashMap<Name, Receiver>,
     blocks: HashSet<BlockKey>,
     /// Materials have other colours, which hits on surfaces without texels keep.
@@ -193,7 +179,6 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
     let ends_now = is.ends_of(&is).ok_or_else(|| {
         ClientError::inconsistent(VOXELS, "are missing, which the light of an edit comes from".to_owned())
     })?;
-    let same = was.same_in(&is);
     let comparison = Comparison {
         changes: Changes::between(&was.scene, &is.scene),
         receivers: receivers(&is.clusters),
@@ -203,8 +188,7 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
         texel_m: is.scene.manifest.layout()?.texel_m,
         before: &was,
         after: &is,
-        numbers: was.numbers_of(&same),
-        same,
+        parts: was.parts_in(&is),
     };
     let (mut contents, mut read) = (Vec::new(), Vec::new());
     let left: Vec<Option<Kept>> = was.clusters.par_iter().map(|cluster| comparison.kept(cluster)).collect();
@@ -216,6 +200,8 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
     contents.extend(is.clusters.iter().filter_map(|cluster| only(cluster, |name| !kept.contains(&name))));
     let mut light =
         LightmapLight::assemble(&is.scene, &contents, |slots| PatchTable::new(&is.patches, slots))?;
+    let bare = was.clusters.iter().filter(|cluster| cluster.factors.rank == 0);
+    let bare: HashSet<Name> = bare.flat_map(names).collect();
     let (mut all, mut provisional) = (Vec::new(), Vec::new());
     let slots = contents
         .iter()
@@ -231,14 +217,27 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
                 comparison.difference(slot, (before, now), read)
             }
         };
-        let changed = ends.added.len().max(ends.taken.len()) as f32 / IRRADIANCE_WALKS as f32;
-        provisional.push(if cluster < read.len() { changed } else { 1.0 });
+        let changed = |ends: &Ends| ends.added.len().max(ends.taken.len()) as f32 / IRRADIANCE_WALKS as f32;
+        provisional.push(match (&ends_before, bare.contains(&name)) {
+            _ if cluster < read.len() => changed(&ends),
+            // The bake's own light is that of walks.
+            (Some(before), true) => {
+                let before = before.get(&name).map_or(&[][..], Vec::as_slice);
+                changed(&comparison.difference(slot, (before, now), &HashSet::new()))
+            }
+            _ => 1.0,
+        });
         all.extend((!ends.is_empty()).then_some(ends));
     }
     light.transport.walked = WalkedTable::new(all, WALK_WEIGHT, &light.transport.near)
         .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
     light.voxels = is.light.voxels;
     Ok(Edited { bake: LoadedBake { scene: is.scene.into(), light: Box::new(light) }, provisional })
+}
+
+/// The part with the greatest share.
+fn most(parts: &Parts) -> Option<u32> {
+    parts.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map(|(part, _)| *part)
 }
 
 /// Colours of all materials; of images their digests.
@@ -266,7 +265,8 @@ fn receivers(clusters: &[ClusterTransport]) -> HashMap<Name, Receiver> {
 impl Comparison<'_> {
     /// The part of a cluster of before that is right for the edited scene, with colours and lamps as they are now; `None` if there is none.
     fn kept(&self, cluster: &ClusterTransport) -> Option<Kept> {
-        if !cluster.near.blocks.iter().all(|block| self.blocks.contains(block)) {
+        let has_walks = !self.by_columns && cluster.factors.rank == 0;
+        if has_walks || !cluster.near.blocks.iter().all(|block| self.blocks.contains(block)) {
             return None;
         }
         if self.by_columns && self.is_parted(cluster) {
@@ -288,9 +288,11 @@ impl Comparison<'_> {
             .collect();
         let mut kept = only(cluster, |name| same.contains(&name))?;
         let number = |key: &u64| self.before.light.transport.columns.number(PatchKey(*key).patch());
-        let reads = |key: &&u64| self.column(PatchKey(**key)).is_some();
+        let reads = |key: &&u64| !self.columns(PatchKey(**key)).is_empty();
         let read = kept.factors.keys.iter().filter(reads).filter_map(number).collect();
-        rename_columns(&mut kept.factors, |key| self.column(PatchKey(key)).map(|key| key.0));
+        rename_columns(&mut kept.factors, |key| {
+            self.columns(PatchKey(key)).into_iter().map(|(key, sign)| (key.0, sign)).collect()
+        });
         let now: Vec<&Receiver> = names(&kept).filter_map(|name| self.receivers.get(&name)).collect();
         kept.receivers.albedo = now.iter().map(|receiver| receiver.albedo).collect();
         let mut emitters: Vec<u16> =
@@ -315,17 +317,22 @@ impl Comparison<'_> {
         let is_sky = |place: u32| place >= first_before;
         let same = |place: u32| match is_sky(place) {
             true => Some(place - first_before + first_now),
-            false => *self.same.get(place as usize)?,
+            false => self
+                .parts
+                .get(place as usize)
+                .filter(|(_, is_own)| *is_own)
+                .and_then(|(parts, _)| most(parts)),
         };
         let mut left: BTreeMap<u32, usize> = BTreeMap::new();
         now.iter().for_each(|place| *left.entry(*place).or_default() += 1);
         let mut ends = Ends { slot, ..Ends::default() };
-        for &place in before {
+        for (index, &place) in before.iter().enumerate() {
+            let along = (index as f32 + 0.5) / before.len() as f32;
             let found = same(place).and_then(|place| left.get_mut(&place)).filter(|count| **count > 0);
             match found {
                 Some(count) => *count -= 1,
                 None if is_sky(place) => ends.taken.extend(same(place)),
-                None => ends.taken.extend(self.as_read(place, read)),
+                None => ends.taken.extend(self.as_read((place, along), read)),
             }
         }
         for (place, count) in left {
@@ -335,28 +342,33 @@ impl Comparison<'_> {
         ends
     }
 
-    /// Number now of the finest patch with a column that a patch of before is part of.
-    fn as_read(&self, mut patch: u32, read: &HashSet<u32>) -> Option<u32> {
+    /// The finest patch with a column that a patch of before is part of, as it is now: of its parts the one at such a share of it.
+    fn as_read(&self, (mut patch, along): (u32, f32), read: &HashSet<u32>) -> Option<u32> {
         let rows = &self.before.light.transport.columns.patches;
         while !read.contains(&patch) {
             patch = rows.get(patch as usize)?.parent;
         }
-        *self.numbers.get(patch as usize)?
+        let (parts, _) = self.parts.get(patch as usize)?;
+        let mut left = along;
+        let reaches = |(_, share): &&(u32, f32)| {
+            left -= share;
+            left < 0.0
+        };
+        parts.iter().find(reaches).or(parts.last()).map(|(part, _)| *part)
     }
 
-    /// The column that a key names now; `None` where it brings nothing any more.
-    fn column(&self, key: PatchKey) -> Option<PatchKey> {
+    /// Columns that together are now the one that a key names, with their signs; none where it brings nothing any more.
+    fn columns(&self, key: PatchKey) -> Vec<(PatchKey, f32)> {
         if let Some(part) = key.patch().sky() {
-            return (part < self.after.patches.sky_parts).then_some(key);
+            return if part < self.after.patches.sky_parts { vec![(key, 1.0)] } else { Vec::new() };
         }
-        let number = self.before.light.transport.columns.number(key.patch())? as usize;
-        let now = self.after.patches.patches.get((*self.numbers.get(number)?)? as usize)?.key;
-        // A patch that is gone no longer differs from the one that it was part of.
-        match (key.is_difference(), self.same.get(number)?.is_some()) {
-            (false, _) => Some(now),
-            (true, true) => Some(now.difference()),
-            (true, false) => None,
-        }
+        let columns = &self.before.light.transport.columns;
+        let parts_of = |patch: u32| self.parts.get(patch as usize).map(|(parts, _)| parts);
+        let Some(patch) = columns.number(key.patch()) else { return Vec::new() };
+        let whole = columns.patches.get(patch as usize).and_then(|row| parts_of(row.parent));
+        let whole = whole.filter(|_| key.is_difference());
+        let none = Parts::new();
+        self.after.difference(parts_of(patch).unwrap_or(&none), whole.unwrap_or(&none))
     }
 
     /// Whether a receiver is there still, and nothing near it is another.
