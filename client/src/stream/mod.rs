@@ -23,6 +23,8 @@ pub struct Streamed {
     pub whole: usize,
     /// All clusters.
     pub clusters_all: usize,
+    /// Other chunks of light that come after clusters, and have not.
+    pub rest: usize,
     /// Clusters of a bake under way whose bytes the server has lost: they come once they are baked again. Those of a cell whose page is
     /// lost are not known: the cell counts as one that is not baked.
     pub lost: usize,
@@ -41,7 +43,7 @@ pub struct Streamed {
 impl Streamed {
     /// All is there.
     pub fn is_whole(&self) -> bool {
-        self.baked.is_none() && self.whole == self.clusters_all
+        self.baked.is_none() && self.whole == self.clusters_all && self.rest == 0
     }
 }
 

@@ -39,7 +39,7 @@ impl Pace {
     /// The next thing to do for a view and a memory, of the light that is there. Hearing `is_due` where it was long ago: a view that
     /// moves all the time is never served, and must not put it off.
     pub fn turn(&self, wanted: &(View, u64), there: &Streamed, is_due: bool) -> Turn {
-        let has_all_known = there.whole == there.clusters_all && there.memory <= wanted.1;
+        let has_all_known = there.whole == there.clusters_all && there.rest == 0 && there.memory <= wanted.1;
         let is_served = has_all_known || self.served.as_ref() == Some(wanted);
         match (is_served, there.baked) {
             (false, Some(_)) if is_due => Turn::Hear { wait_secs: 0 },

@@ -56,7 +56,7 @@ impl SceneTask {
             Self::Patches => 8,
             Self::Draw => 6,
             Self::Frame => 6,
-            Self::Import => 6,
+            Self::Import => 7,
             Self::Unwrap => 3,
         }
     }

@@ -36,7 +36,7 @@ pub use table::{
     patch_numbers,
 };
 pub use walk::{NO_ELEMENT, STEPS_MAX, Start, WalkHit, walk, walk_within};
-pub use walked::{WALK_WEIGHT, walk_identity, walked};
+pub use walked::{WALK_WEIGHT, walk_identity, walked, walked_without_factors};
 
 /// Role of the chunks of voxels: that of the coarser levels first.
 pub const VOXELS: &str = "voxels";

@@ -8,7 +8,7 @@ use super::cones::{Bundle, Cone, IRRADIANCE_WALKS};
 use super::light::{first_of_sky, nearest_of_sky, sky_directions};
 use super::table::{DARK_PATCH, VoxelTable, mixed};
 use super::walk::{Start, walk};
-use crate::relight::{Ends, Parallel, PatchTable, ReceiverTable};
+use crate::relight::{Ends, Inconsistent, Parallel, PatchTable, ReceiverTable, Transport, WalkedTable};
 
 /// Weight of each walk's end.
 pub const WALK_WEIGHT: f32 = PI / IRRADIANCE_WALKS as f32;
@@ -42,6 +42,21 @@ pub fn walked(
         added.sort_unstable();
         Ends { slot, added, taken: Vec::new() }
     })
+}
+
+/// The light of walks of all receivers of clusters without factors: those of things that are lit so, and where no light comes.
+pub fn walked_without_factors(
+    voxels: &VoxelTable,
+    Transport { receivers, clusters, columns, near, .. }: &Transport<PatchTable>,
+    parallel: &impl Parallel,
+) -> Result<WalkedTable, Inconsistent> {
+    let mut is_wanted = vec![false; receivers.len()];
+    for cluster in clusters.clusters.iter().filter(|cluster| cluster.rank == 0) {
+        let rows = cluster.first_row..cluster.first_row + cluster.row_count;
+        is_wanted.get_mut(rows).into_iter().for_each(|rows| rows.fill(true));
+    }
+    let ends = walked(voxels, columns, receivers, |slot| is_wanted[slot as usize], parallel);
+    WalkedTable::new(ends, WALK_WEIGHT, near)
 }
 
 /// Identity of the walks of a receiver: its place in steps, as texels of two charts that are one square have one place, which clusters store by

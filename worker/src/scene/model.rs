@@ -74,8 +74,19 @@ pub struct MeshInstance {
     pub triangles: Vec<[u32; 3]>,
     /// Place of the node, for tools that draw handles; positions above already include it.
     pub world_from_object: Mat4,
-    /// Whether the file has its indirect light from probes in free space, where a kind of bake has some, or from texels; it mostly does not say.
-    pub is_lit_by_probes: Option<bool>,
+    /// Where its indirect light comes from, if the file says it.
+    pub lit_by: Option<LitBy>,
+}
+
+/// Where the indirect light of surfaces comes from, in bakes that have it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LitBy {
+    /// Rays of their own texels.
+    Texels,
+    /// Probes in free space.
+    Probes,
+    /// Walks through voxels.
+    Walks,
 }
 
 impl MeshInstance {

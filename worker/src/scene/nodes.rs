@@ -14,7 +14,7 @@ use super::error::{ImportError, Result, shown};
 use super::lights_cameras::{read_camera, read_light};
 use super::limits::{self, within};
 use super::materials::MaterialTable;
-use super::model::{MeshInstance, Scene};
+use super::model::{LitBy, MeshInstance, Scene};
 use super::placement::place_in_world;
 use super::pose;
 use super::primitives::PrimitiveReader;
@@ -46,7 +46,7 @@ pub(super) fn flatten(
             parent_path: top.clone(),
             world_from_parent: DAffine3::IDENTITY,
             depth: 1,
-            is_lit_by_probes: None,
+            lit_by: None,
         });
     }
     // A list of its own instead of recursion: depth then costs no stack.
@@ -91,7 +91,7 @@ struct Pending {
     world_from_parent: DAffine3,
     depth: u64,
     /// As its parent says.
-    is_lit_by_probes: Option<bool>,
+    lit_by: Option<LitBy>,
 }
 
 struct Walk {
@@ -128,20 +128,20 @@ impl Walk {
         let path: Rc<str> =
             format!("{}{}/", here.parent_path, path_part(node.name.as_deref(), "node")).into();
         context.budgets.path_bytes.spend(path.len() as u64)?;
-        let is_lit_by_probes = is_lit_by_probes(context, node_index).or(here.is_lit_by_probes);
+        let lit_by = lit_by(context, node_index).or(here.lit_by);
         if let Some(mesh) = node.mesh {
             document::get(root, mesh, "mesh", || node_place(root, node_index))?;
             let first = scene.instances.len();
             self.add_mesh(context, materials, scene, node_index, mesh.value(), &path, world_from_object)?;
             let own = scene.instances.iter_mut().skip(first);
-            own.for_each(|instance| instance.is_lit_by_probes = is_lit_by_probes);
+            own.for_each(|instance| instance.lit_by = lit_by);
         }
         scene.cameras.extend(read_camera(context, node_index, world_from_object)?);
         scene.lights.extend(read_light(context, node_index, world_from_object)?);
         for &index in node.children.iter().flatten().rev() {
             let (parent_path, depth) = (path.clone(), here.depth + 1);
             let world_from_parent = world_from_object;
-            pending.push(Pending { index, parent_path, world_from_parent, depth, is_lit_by_probes });
+            pending.push(Pending { index, parent_path, world_from_parent, depth, lit_by });
         }
         Ok(())
     }
@@ -212,7 +212,7 @@ impl Walk {
                 colours: mesh_part.colours,
                 triangles: mesh_part.triangles,
                 world_from_object: DMat4::from(world_from_object).as_mat4(),
-                is_lit_by_probes: None,
+                lit_by: None,
             });
         }
         Ok(())
@@ -241,9 +241,8 @@ fn path_part(name: Option<&str>, unnamed: &str) -> String {
     shown(name.filter(|name| !name.is_empty()).unwrap_or(unnamed))
 }
 
-/// Whether a node's extras have its meshes, and those of nodes below it, lit by probes, or by texels of their own; `None` if they do not
-/// say. Warns of other words.
-fn is_lit_by_probes(context: &mut Context<'_>, node_index: usize) -> Option<bool> {
+/// Where a node's extras say that the indirect light of its meshes, and of those of nodes below it, comes from. Warns of other words.
+fn lit_by(context: &mut Context<'_>, node_index: usize) -> Option<LitBy> {
     #[derive(Deserialize)]
     struct Wanted {
         kiln_lit: Option<serde_json::Value>,
@@ -253,13 +252,14 @@ fn is_lit_by_probes(context: &mut Context<'_>, node_index: usize) -> Option<bool
     // Extras are anything that people put there.
     let wanted = serde_json::from_str::<Wanted>(extras.get()).ok()?.kiln_lit?;
     match wanted.as_str() {
-        Some("probes") => Some(true),
-        Some("texels") => Some(false),
+        Some("probes") => Some(LitBy::Probes),
+        Some("texels") => Some(LitBy::Texels),
+        Some("walks") => Some(LitBy::Walks),
         _ => {
             context.warnings.add("lit-by-something-else", || {
                 let place = node_place(root, node_index);
                 format!(
-                    "{place} has \"kiln_lit\": {}; \"probes\" and \"texels\" are known",
+                    "{place} has \"kiln_lit\": {}; \"probes\", \"texels\" and \"walks\" are known",
                     shown(&wanted.to_string())
                 )
             });

@@ -107,7 +107,7 @@ mod tests {
             colours: Vec::new(),
             triangles: vec![[0, 1, 2]],
             world_from_object: Mat4::IDENTITY,
-            is_lit_by_probes: None,
+            lit_by: None,
         }
     }
 

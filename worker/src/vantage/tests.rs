@@ -96,7 +96,7 @@ fn led(side: f32, share: f32, is_turned: bool, glimmer: f32) -> Framing {
         colours: Vec::new(),
         triangles: vec![if is_turned { [0, 2, 1] } else { [0, 1, 2] }],
         world_from_object: scene.instances[0].world_from_object,
-        is_lit_by_probes: None,
+        lit_by: None,
     };
     scene.instances.push(led);
     framing(&Geometry::new(scene).unwrap())

@@ -1,24 +1,30 @@
-//! Parts of a streamed bake that come first and stay: what stands for all clusters, and its voxels.
+//! Parts of a streamed bake that stay once they have come: first what stands for all clusters, and its coarser voxels; after all clusters the
+//! finer ones, for which those answer meanwhile.
 
 use lightkiln_proto::chunk;
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::prt::PATCHES;
-use lightkiln_proto::manifest::{DIRECTORY, Manifest, OVERVIEW};
+use lightkiln_proto::manifest::{ChunkRef, DIRECTORY, Manifest, OVERVIEW};
 use lightkiln_proto::relight::PatchTable;
 use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
 
 use super::joined;
-use super::memory::base_memory;
+use super::memory::{base_memory, voxel_memory};
 use crate::error::{ClientError, Result};
-use crate::fetch::{Source, decoded};
+use crate::fetch::{Source, decoded, decoded_chunks};
+use crate::stream::Budget;
 
 /// The parts, decoded; a bake under way has none.
 #[derive(Debug)]
 pub(super) struct Base {
     /// The overview.
     pub(super) overview: Vec<ClusterTransport>,
+    /// The first so many parts, the coarser levels first.
     voxels: Vec<VoxelPart>,
 }
+
+/// Chunks of voxels that come before clusters: that of the coarser levels.
+const VOXELS_FIRST: usize = 1;
 
 impl Base {
     /// Fetches them.
@@ -29,8 +35,42 @@ impl Base {
             let problem = "has near hits, which clusters of an overview have not";
             return Err(ClientError::inconsistent(OVERVIEW, problem));
         }
-        let voxels = decoded(source, manifest, VOXELS, |bytes| Ok(decode_voxels(bytes)?))?;
-        Ok(Self { overview, voxels })
+        let mut base = Self { overview, voxels: Vec::new() };
+        base.fetch_voxels(source, first_voxels(manifest))?;
+        Ok(base)
+    }
+
+    fn fetch_voxels(&mut self, source: &Source, chunks: &[ChunkRef]) -> Result<()> {
+        self.voxels.extend(decoded_chunks(source, chunks, VOXELS, |bytes| Ok(decode_voxels(bytes)?))?);
+        Ok(())
+    }
+
+    /// Fetches as many of the finer voxels as there is room for; gives the bytes that came.
+    pub(super) fn fetch_more(&mut self, source: &Source, manifest: &Manifest, room: Budget) -> Result<u64> {
+        let (mut count, mut bytes, mut memory) = (0, 0, 0);
+        let left = manifest.chunks(VOXELS).get(self.voxels.len()..).unwrap_or_default();
+        for chunk in left {
+            (bytes, memory) = (bytes + chunk.bytes, memory + voxel_memory(chunk.bytes));
+            // One at least comes in a step.
+            if bytes > room.bytes || memory > room.memory || (count > 0 && bytes > room.step) {
+                break;
+            }
+            count += 1;
+        }
+        self.fetch_voxels(source, &left[..count])?;
+        Ok(left[..count].iter().map(|chunk| chunk.bytes).sum())
+    }
+
+    /// Lets the finer voxels go.
+    pub(super) fn let_go(&mut self) {
+        self.voxels.truncate(VOXELS_FIRST);
+    }
+
+    /// Chunks of the finer voxels that have come, and that have not.
+    pub(super) fn more<'a>(&self, manifest: &'a Manifest) -> [&'a [ChunkRef]; 2] {
+        let all = manifest.chunks(VOXELS);
+        let (come, left) = all.split_at(self.voxels.len().min(all.len()));
+        [come.get(VOXELS_FIRST..).unwrap_or_default(), left]
     }
 
     /// Elements with the patches of the light that is there.
@@ -38,20 +78,28 @@ impl Base {
         joined(&self.voxels, patches)
     }
 
-    /// Bytes of what always stays.
+    /// Bytes of what comes first.
     pub(super) fn bytes(manifest: &Manifest) -> u64 {
-        [DIRECTORY, PATCHES, OVERVIEW, VOXELS].iter().map(|role| manifest.bytes_of(role)).sum()
+        let of_voxels = first_voxels(manifest).iter().map(|chunk| chunk.bytes);
+        [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).chain(of_voxels).sum()
     }
 
     /// Memory of it.
-    pub(super) fn memory(&self, set: &PatchSet) -> u64 {
-        base_memory(set, &self.overview, &self.voxels)
+    pub(super) fn memory(&self, set: &PatchSet, manifest: &Manifest) -> u64 {
+        let of_voxels = first_voxels(manifest).iter().map(|chunk| voxel_memory(chunk.bytes));
+        base_memory(set, &self.overview) + of_voxels.sum::<u64>()
     }
+}
+
+fn first_voxels(manifest: &Manifest) -> &[ChunkRef] {
+    let all = manifest.chunks(VOXELS);
+    &all[..all.len().min(VOXELS_FIRST)]
 }
 
 #[cfg(test)]
 mod tests {
     use lightkiln_proto::kinds::prt;
+    use lightkiln_proto::voxels::VOXELS;
 
     use crate::bake::LoadedBake;
     use crate::fetch::Source;
@@ -70,16 +118,33 @@ mod tests {
         let source = Source::bundle(folder.path()).unwrap();
         let begin = || StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
         let without = begin().streamed();
-        add_voxels(folder.path(), manifest);
+        let manifest = add_voxels(folder.path(), manifest);
         let mut streamed = begin();
         let with = streamed.streamed();
         assert!(with.bytes > without.bytes && with.memory > without.memory);
-        assert_eq!(with.bytes_all - without.bytes_all, with.bytes - without.bytes);
+        let [first, finer] = [0, 1].map(|index| manifest.chunks(VOXELS)[index].bytes);
+        assert!(with.bytes >= without.bytes + first);
+        assert_eq!(with.bytes_all - with.bytes, without.bytes_all - without.bytes + finer);
+        assert_eq!((without.rest, with.rest), (0, 1));
         let whole = LoadedBake::load(&source, &kinds::all()).unwrap();
         let mut view = view_of(&whole);
         view.walks = Walks { occlusion_m: Some(0.8), ..Walks::default() };
         let draw = |bake: &LoadedBake| render(bake, &view, Backend::Cpu).unwrap().linear;
         assert!(draw(&streamed.bake).iter().any(|pixel| pixel[0] > 0.0));
+        // Finer ones come after all clusters, and with room for them alone.
+        let room = with.bytes_all - finer;
+        streamed.refine(&view, Budget::of_bytes(room)).unwrap();
+        let there = streamed.streamed();
+        assert!(there.whole == there.clusters_all && there.rest == 1 && !there.is_whole(), "{there:?}");
+        assert_eq!(there.bytes, room);
+        assert!(draw(&streamed.bake) != draw(&whole));
+        streamed.refine(&view, Budget::NONE).unwrap();
+        let there = streamed.streamed();
+        assert!(there.is_whole() && there.bytes == with.bytes_all, "{there:?}");
+        let memory = there.memory_least - 1;
+        streamed.refine(&view, Budget { memory, ..Budget::NONE }).unwrap();
+        let less = streamed.streamed();
+        assert!(less.memory <= memory && less.rest == 1, "{less:?}");
         streamed.refine(&view, Budget::NONE).unwrap();
         assert!(draw(&streamed.bake) == draw(&whole));
     }

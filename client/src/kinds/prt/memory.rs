@@ -1,7 +1,6 @@
 //! Memory that light over surface patches takes when it is lit, about: budgets are held against it.
 
 use lightkiln_proto::content::{ClusterTransport, PatchSet};
-use lightkiln_proto::voxels::VoxelPart;
 
 use crate::fetch::Layers;
 
@@ -33,12 +32,17 @@ fn memory(receivers: u64, keys: u64, rank: u32, near_hits: u64) -> u64 {
     RECEIVER_BYTES * receivers + COLUMN_BYTES * keys + NEAR_BYTES * near_hits + numbers as u64
 }
 
-/// Memory of an element, decoded and as walks read it, in bytes, about.
+/// Memory of an element, decoded and as walks read it, in bytes, and its bytes in a chunk, about.
 const ELEMENT_BYTES: u64 = 72;
+const STORED_BYTES: u64 = 4;
 
-/// Memory of patches, overview and voxels.
-pub(super) fn base_memory(set: &PatchSet, overview: &[ClusterTransport], voxels: &[VoxelPart]) -> u64 {
+/// Memory of patches and overview.
+pub(super) fn base_memory(set: &PatchSet, overview: &[ClusterTransport]) -> u64 {
     let of_overview = overview.iter().map(|cluster| memory_of(cluster, cluster.near.surface.len()));
-    let elements: usize = voxels.iter().map(VoxelPart::elements).sum();
-    PATCH_BYTES * set.patches.len() as u64 + of_overview.sum::<u64>() + ELEMENT_BYTES * elements as u64
+    PATCH_BYTES * set.patches.len() as u64 + of_overview.sum::<u64>()
+}
+
+/// Memory of voxels of so many bytes.
+pub(super) fn voxel_memory(bytes: u64) -> u64 {
+    bytes * ELEMENT_BYTES / STORED_BYTES
 }

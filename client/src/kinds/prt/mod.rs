@@ -11,7 +11,7 @@ use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{Inconsistent, NO_PATCH, PatchTable};
-use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
+use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels, walked_without_factors};
 
 use crate::bake::{ClientKind, Edited, Light, LightStream, QuickBake};
 use crate::error::{ClientError, Result};
@@ -21,6 +21,7 @@ use crate::passes::gpu::Gpu;
 use crate::passes::patches::PatchesPass;
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::scene::LoadedScene;
+use crate::threads::Threads;
 
 pub use only::only;
 pub use stream::PrtStream;
@@ -73,7 +74,16 @@ pub fn load(source: &Source, scene: &LoadedScene) -> Result<LightmapLight<PatchT
     };
     let mut light = assemble(scene, &contents)?;
     light.voxels = voxels(source, manifest, &light.transport.columns)?;
+    walk(&mut light)?;
     Ok(light)
+}
+
+/// Gives receivers without factors the light of walks, where there are voxels.
+pub fn walk(light: &mut LightmapLight<PatchTable>) -> Result<()> {
+    let Some(elements) = &light.voxels else { return Ok(()) };
+    light.transport.walked = walked_without_factors(elements, &light.transport, &Threads)
+        .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
+    Ok(())
 }
 
 /// Fetches and decodes the voxels of a bake that has some.

@@ -2,15 +2,19 @@
 
 use glam::{Vec3, Vec4};
 use lightkiln_proto::kinds::voxels::NAME;
-use lightkiln_proto::relight::Columns as _;
+use lightkiln_proto::relight::{Columns as _, PatchTable, Transport};
 use lightkiln_proto::voxels::{
-    Bundle, IRRADIANCE_WALKS, Start, VoxelTotals, WalkLight, irradiance, walk_identity,
+    Bundle, IRRADIANCE_WALKS, Start, VoxelTotals, WalkLight, irradiance, walk_identity, walked,
 };
 
 use super::*;
 use crate::bake::LoadedBake;
-use crate::fixture::{add_voxels, rewrite_manifest, voxel_light, walked_light, write_bundle};
+use crate::fixture::{
+    add_voxels, prt_contents, prt_light, rewrite_manifest, voxel_light, walked_light, write_bundle,
+};
 use crate::kinds::all;
+use crate::lightmap::LightmapLight;
+use crate::threads::Threads;
 
 /// λ without pattern.
 fn lambda(light: &LightmapLight<PatchTable>) -> Vec<Vec4> {
@@ -50,6 +54,29 @@ fn some_receivers_alone_are_walked() {
     assert_eq!(ends.len(), receivers.len().div_ceil(3));
 }
 
+#[test]
+fn receivers_of_clusters_without_factors_are_walked_and_no_others() {
+    let mut contents = prt_contents();
+    (contents.clusters[1].factors, contents.clusters[1].near) = Default::default();
+    let (_, with_elements) = voxel_light();
+    let (_, mut light) = prt_light(&contents);
+    light.voxels = with_elements.voxels;
+    prt::walk(&mut light).unwrap();
+    let first = contents.clusters[0].receivers.len();
+    let of_second = first..first + contents.clusters[1].receivers.len();
+    let lambda = vec![Vec4::ONE; light.transport.columns.lambda_count()];
+    let mut found = vec![Vec4::ZERO; light.transport.receivers.len()];
+    light.transport.walked.gather(&Threads, &lambda, &mut found);
+    for (slot, found) in found.iter().enumerate() {
+        // Under a light that is 1 everywhere, but for walks that end in the dark.
+        assert_eq!(found.x > 1.0, of_second.contains(&slot), "receiver {slot}: {found}");
+    }
+    // Without elements nothing is walked.
+    let (_, mut light) = prt_light(&contents);
+    prt::walk(&mut light).unwrap();
+    assert!(light.transport.walked.is_empty());
+}
+
 /// A bundle of the kind, with or without its elements.
 fn opened(folder: &std::path::Path, has_voxels: bool) -> Result<LoadedBake> {
     let mut manifest = write_bundle(folder, "prt");
@@ -70,7 +97,7 @@ fn bundle_without_elements_is_refused() {
 }
 
 #[test]
-fn bundle_with_elements_is_lit_by_walks_whatever_its_clusters_have() {
+fn bundle_with_elements_has_light() {
     let folder = tempfile::tempdir().unwrap();
     let bake = opened(folder.path(), true).unwrap();
     assert!(bake.light.voxels().is_some() && bake.light.lightmap(&bake.scene).is_some());

@@ -8,7 +8,7 @@ use crate::kinds::voxels::tasks as voxels;
 use crate::kinds::{SceneTasks, TaskKind};
 
 /// Receivers and patches → the tasks of a relightable bake, probes in free space, and the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "cloud.plan", version: 5 };
+pub const PLAN: TaskKind = TaskKind { name: "cloud.plan", version: 6 };
 /// Some probes → their depth maps and factorised transport, as a chunk.
 pub const GATHER: TaskKind = TaskKind { name: "cloud.gather", version: 2 };
 /// Some receivers and the light of probes → the factors of surfaces that have the field's light.
@@ -20,8 +20,8 @@ pub const ASSEMBLE: TaskKind = TaskKind { name: "cloud.assemble", version: 1 };
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let prt::Settings { texels, place, .. } = settings.relightable();
     let shared = SceneTasks::of(scene).unwrapped(&texels).placed(&place).patched();
-    let [region, top] = [voxels::REGION, voxels::TOP];
-    let surfaces = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW, region, top];
-    let rest = [&surfaces[..], &[GATHER, LIT, ASSEMBLE]].concat();
+    let of_voxels = [voxels::RECEIVERS, voxels::REGION, voxels::TOP];
+    let surfaces = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW];
+    let rest = [&surfaces[..], &of_voxels, &[GATHER, LIT, ASSEMBLE]].concat();
     PLAN.planned("clusters and probes", scene, settings, shared, &rest)
 }

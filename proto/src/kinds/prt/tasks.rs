@@ -7,7 +7,7 @@ use crate::kinds::{SceneTasks, TaskKind, voxels};
 
 /// Receivers and patches → cluster cells, the chunk of patches, the manifest without clusters for whoever follows the bake, and
 /// the plan of the rest.
-pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 8 };
+pub const PLAN: TaskKind = TaskKind { name: "prt.plan", version: 9 };
 /// A cluster cell → its factorised transport, without colours, the record of what was read for it, and its rows.
 pub const TRANSPORT: TaskKind = TaskKind { name: "prt.transport", version: 37 };
 /// The transport of a cell → its chunks, with the colours of its receivers and the radiance of emitters, and their page of the
@@ -21,6 +21,7 @@ pub const ASSEMBLE: TaskKind = TaskKind { name: "prt.assemble", version: 6 };
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
     let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched();
-    let rest = [TRANSPORT, COLOUR, OVERVIEW, voxels::tasks::REGION, voxels::tasks::TOP, ASSEMBLE];
+    let of_voxels = [voxels::tasks::RECEIVERS, voxels::tasks::REGION, voxels::tasks::TOP];
+    let rest = [&[TRANSPORT, COLOUR, OVERVIEW][..], &of_voxels, &[ASSEMBLE]].concat();
     PLAN.planned("clusters", scene, settings, shared, &rest)
 }

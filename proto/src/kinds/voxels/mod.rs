@@ -14,7 +14,7 @@ use crate::manifest::{Manifest, ManifestError};
 use crate::settings::{SettingRow, SettingsError};
 use crate::voxels::{ROW, VOXELS};
 
-pub use settings::{Presence, Settings, VoxelPresence, VoxelSettings, WalkedSettings};
+pub use settings::{Presence, Settings, VoxelPresence, VoxelSettings, WalkedSettings, walked_part};
 
 /// Name of the kind.
 pub const NAME: &str = "voxels";

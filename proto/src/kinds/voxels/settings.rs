@@ -7,6 +7,8 @@ use crate::{kind_settings, setting_words, settings_group};
 
 /// Rays of a receiver of a bake of voxels alone: they tell which receivers no light can reach, and nothing of them is stored.
 const RAYS: u32 = 64;
+/// Receivers of a cluster that has no factors.
+const CLUSTER_RECEIVERS: u32 = 4096;
 
 setting_words! {
     /// Whether a bake has voxels.
@@ -18,6 +20,10 @@ settings_group! {
     VoxelPresence {
         /// Whether the bake has voxels. `on` → reflections and ambient occlusion, some 4 bytes a receiver more.
         voxels: Presence = [Presence::Off, Presence::Off, Presence::Off], |_| true, "off or on";
+        /// Size in metres, along the longest side, up to which things have their indirect light from walks through voxels; `"kiln_lit": "walks"`
+        /// or `"texels"` in a node's extras comes first. More → fewer bytes and less time, light of small lamps is noisier there. Without
+        /// voxels nothing has.
+        walk_lit_m: f32 = [0.0, 0.0, 0.0], |v| (0.0..=1e4).contains(&v), "0..=10000 m";
     }
 }
 
@@ -37,7 +43,7 @@ settings_group! {
         /// Shadow rays per receiver to emissive surfaces. More → smoother soft shadows, more time.
         emitter_rays: u32 = [32, 128, 256], |v| (4..=65_536).contains(&v), "4..=65536";
         /// Most receivers in a cluster. More → fewer, larger chunks.
-        cluster_receivers: u32 = [4096, 4096, 4096], |v| (16..=8192).contains(&v), "16..=8192";
+        cluster_receivers: u32 = [CLUSTER_RECEIVERS, CLUSTER_RECEIVERS, CLUSTER_RECEIVERS], |v| (16..=8192).contains(&v), "16..=8192";
     }
 }
 
@@ -60,6 +66,17 @@ impl VoxelPresence {
     pub fn is_on(&self) -> bool {
         self.voxels == Presence::On
     }
+}
+
+/// Settings of the receivers of a relightable bake that have the light of walks.
+pub fn walked_part(of: &prt::Settings) -> prt::Settings {
+    let walked = WalkedSettings {
+        sky_parts: of.patches.sky_parts,
+        emitter_rays: of.transport.emitter_rays,
+        cluster_receivers: CLUSTER_RECEIVERS,
+    };
+    let prt::Settings { preset, texels, place, voxels, .. } = of.clone();
+    Settings { preset, texels, place, walked, voxels }.relightable()
 }
 
 impl Settings {
@@ -85,7 +102,7 @@ impl Settings {
                 rank_max: 1,
                 split_receivers_min: cluster_receivers,
             },
-            has_voxels: VoxelPresence { voxels: Presence::On },
+            has_voxels: VoxelPresence { voxels: Presence::On, walk_lit_m: 0.0 },
             voxels,
         }
     }

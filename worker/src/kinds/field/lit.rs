@@ -27,7 +27,7 @@ use crate::kinds::prt::{self, KnownRow};
 use crate::lightmap::{Lightmap, Numbering, Receiver, World};
 use crate::patches::PatchTree;
 use crate::reads::{RECORD_ARTEFACT, Reads, Record, Stage, of_before, outputs_of_before};
-use crate::scene::model::{MeshInstance, Scene};
+use crate::scene::model::{LitBy, MeshInstance, Scene};
 use crate::task::{Cancelled, Context, TaskError, TaskOutput, params};
 use crate::transport::{PatchRow, Row};
 
@@ -64,7 +64,7 @@ pub fn by_light(scene: &Scene, lightmap: &Lightmap, settings: &LitSettings) -> [
 /// As the file says, else by size.
 fn is_lit(instance: &MeshInstance, probe_lit_m: f32) -> bool {
     let is_small = || probe_lit_m > 0.0 && instance.size_m() <= probe_lit_m;
-    instance.is_lit_by_probes.unwrap_or_else(is_small)
+    instance.lit_by.map_or_else(is_small, |by| by == LitBy::Probes)
 }
 
 /// A field's parts, and which of its probes are around a point.
@@ -332,14 +332,14 @@ mod tests {
 
     #[test]
     fn words_of_the_file_come_before_size() {
-        let instance = |is_lit_by_probes: Option<bool>| MeshInstance {
+        let instance = |lit_by: Option<LitBy>| MeshInstance {
             positions_m: vec![Vec3::ZERO, Vec3::new(0.1, 0.2, 0.05)],
-            is_lit_by_probes,
+            lit_by,
             ..MeshInstance::default()
         };
-        let lit = |said: Option<bool>| [0.0, 0.19, 0.2].map(|below_m| is_lit(&instance(said), below_m));
+        let lit = |said: Option<LitBy>| [0.0, 0.19, 0.2].map(|below_m| is_lit(&instance(said), below_m));
         assert_eq!(lit(None), [false, false, true]);
-        assert_eq!(lit(Some(true)), [true; 3]);
-        assert_eq!(lit(Some(false)), [false; 3]);
+        assert_eq!(lit(Some(LitBy::Probes)), [true; 3]);
+        assert_eq!(lit(Some(LitBy::Texels)), [false; 3]);
     }
 }

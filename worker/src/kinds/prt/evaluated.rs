@@ -5,8 +5,8 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{PATCHES, Settings, first_tasks, tasks};
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::relight::{PatchTable, Transport, WalkedTable};
-use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, WALK_WEIGHT, decode_voxels, walked};
+use lightkiln_proto::relight::PatchTable;
+use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels, walked_without_factors};
 
 use super::plan::PATCH_SET;
 use super::{PatchTransport, TracedSettings};
@@ -47,7 +47,6 @@ pub fn evaluated_of(
             return Err(EvaluationError::OtherStage { what: "other surface patches".into() });
         }
         let patches = decoded(&chunks[0], bytes, decode_patches)?;
-        let is_bare = settings.is_bare;
         let transport = PatchTransport::of(context, settings).map_err(EvaluationError::Prepare)?;
         let columns = |slots: &_| PatchTable::new(&patches, slots);
         let mut bake = FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)?;
@@ -57,12 +56,7 @@ pub fn evaluated_of(
             return Ok(bake);
         }
         let voxels = VoxelTable::of_bake(parts.iter(), bake.columns())?;
-        if is_bare {
-            bake.walk(|Transport { receivers, near, columns, .. }| {
-                let ends = walked(&voxels, columns, receivers, |_| true, &Threads);
-                WalkedTable::new(ends, WALK_WEIGHT, near)
-            })?;
-        }
+        bake.walk(|transport| walked_without_factors(&voxels, transport, &Threads))?;
         Ok(bake.walkable(Box::new(|bake| Box::new(WalkedBake::new(bake, voxels)))))
     })
 }

@@ -33,7 +33,7 @@ use crate::transport::{self as shared, DEAD_PATH_TEXELS};
 pub(super) use assemble::Assembled;
 pub(super) use evaluated::evaluated_of;
 use near::NearHit;
-pub(super) use plan::{cells_of, is_read_by_transport, planned, planned_of};
+pub(super) use plan::{Rays, cells_of, is_read_by_transport, planned, planned_of};
 use rows::{KeptRows, Known};
 pub(super) use transport::{KnownRow, of_known_rows, quantisation_error, run as run_transport};
 use truncate::NamedPiece;

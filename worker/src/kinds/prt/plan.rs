@@ -5,6 +5,7 @@ use glam::Vec3;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::{TaskInput, TaskSpec};
 use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, Settings, tasks};
+use lightkiln_proto::kinds::voxels::{VoxelPresence, walked_part};
 use lightkiln_proto::kinds::{OUTLINE_OUTPUT, TaskKind};
 use lightkiln_proto::manifest::{ChunkRef, OVERVIEW};
 use rayon::prelude::*;
@@ -19,7 +20,7 @@ use crate::kinds::voxels;
 use crate::lightmap::{Lightmap, World};
 use crate::patches::{self, PatchTree};
 use crate::reads::{Common, STAGE_ARTEFACT, alike};
-use crate::scene::model::Scene;
+use crate::scene::model::{LitBy, MeshInstance, Scene};
 use crate::task::{Context, TaskError, TaskOutput, params};
 
 /// Name of the chunk of patches among outputs, and among the inputs of assemble.
@@ -55,43 +56,91 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
 }
 
-/// The tasks over the outputs of all scene tasks, which are a context's inputs, for some receivers, ascending.
-pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Result<Planned, TaskError> {
-    planned_of(context, settings, (tasks::TRANSPORT, TracedSettings::from(settings)), receivers)
+/// Receivers, ascending, and the task that casts their rays.
+pub struct Rays<'a> {
+    /// The task.
+    pub task: TaskKind,
+    /// Before the names of cells in labels.
+    pub label: &'static str,
+    /// Settings of what is traced.
+    pub traced: TracedSettings,
+    /// The same as a bake of such receivers has.
+    pub settings: &'a Settings,
+    /// The receivers.
+    pub receivers: Vec<u32>,
 }
 
-/// As [`planned`], with rays by another task.
-pub fn planned_of(
-    context: &Context,
-    settings: &Settings,
-    (rays, traced): (TaskKind, TracedSettings),
-    receivers: &[u32],
-) -> Result<Planned, TaskError> {
+/// The tasks over the outputs of all scene tasks, which are a context's inputs, for some receivers, ascending.
+pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Result<Planned, TaskError> {
+    let [own, walked] = by_light(&*World::of(context)?, settings, receivers);
+    let traced = TracedSettings::from(settings);
+    let own = Rays { task: tasks::TRANSPORT, label: "cluster", traced, settings, receivers: own };
+    let bare = walked_part(settings);
+    let traced = TracedSettings::from(&bare).bare();
+    let task = lightkiln_proto::kinds::voxels::tasks::RECEIVERS;
+    let walked = Rays { task, label: "cluster walked", traced, settings: &bare, receivers: walked };
+    planned_of(context, settings, &[own, walked])
+}
+
+/// Of some receivers those whose light is that of their own rays, and those that have it from walks.
+fn by_light(world: &World, settings: &Settings, receivers: &[u32]) -> [Vec<u32>; 2] {
+    let VoxelPresence { walk_lit_m, .. } = settings.has_voxels;
+    let has_voxels = settings.has_voxels.is_on();
+    let is_walked = |instance: &MeshInstance| {
+        let is_small = || walk_lit_m > 0.0 && instance.size_m() <= walk_lit_m;
+        has_voxels && instance.lit_by.map_or_else(is_small, |by| by == LitBy::Walks)
+    };
+    let is_walked: Vec<bool> = world.geometry.scene.instances.iter().map(is_walked).collect();
+    let lightmap = &world.lightmap;
+    let of = |receiver: &u32| {
+        let block = lightmap.receivers[*receiver as usize].block;
+        is_walked[lightmap.blocks[block as usize].instance as usize]
+    };
+    let (walked, own) = receivers.iter().partition(|receiver| of(receiver));
+    [own, walked]
+}
+
+/// As [`planned`], with rays by other tasks.
+pub fn planned_of(context: &Context, settings: &Settings, rays: &[Rays<'_>]) -> Result<Planned, TaskError> {
     let world = World::of(context)?;
     let tree = PatchTree::of(context)?;
     let emitters = EmitterSet::of(context, &world.geometry)?;
-    let cells = cells_of(&world.lightmap, receivers, settings);
-    let (common, stage) = Common::of(&world, &tree, &emitters, &(rays.version, &traced));
+    let cells_by: Vec<Vec<ClusterCell>> =
+        rays.iter().map(|of| cells_of(&world.lightmap, &of.receivers, of.settings)).collect();
+    let cells: Vec<ClusterCell> = cells_by.iter().flatten().cloned().collect();
+    let common = |of: &Rays<'_>| Common::of(&world, &tree, &emitters, &(of.task.version, &of.traced));
+    let commons: Vec<_> = rays.iter().map(common).collect();
+    let Some((common, stage)) = commons.first() else {
+        return Err(TaskError::bad_input("no task casts rays"));
+    };
     let own = [
         (CELLS_ARTEFACT, encoded_cells(&cells)?),
         (STAGE_ARTEFACT, stage.encoded()?),
         (PATCH_SET, patches::encoded(&tree, &world.lightmap, settings.patches.sky_parts)?),
     ];
-    let names: Vec<Digest> =
-        cells.par_iter().map(|cell| alike(&world, &common, &cell.bounds_m, &cell.receivers)).collect();
     let artefacts: Vec<_> = own.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
     let (rays_of, colours, voxels_of) = (Vec::new(), Vec::new(), Vec::new());
-    let is_bare = traced.is_bare;
+    let is_bare = rays.iter().all(|of| of.traced.is_bare);
+    let common = common.clone();
     let mut planned = Planned { artefacts, common, rays: rays_of, colours, voxels: voxels_of, is_bare };
     let of_all = [CELLS_ARTEFACT, STAGE_ARTEFACT].map(|name| planned.input(name));
-    for (cluster, ((cell, label), name)) in cells.iter().zip(cell_names(&cells)).zip(names).enumerate() {
-        let cost = cell.receivers.len() as u64 * u64::from(settings.transport.transport_rays);
-        let mut inputs = context.as_inputs(is_read_by_transport);
-        inputs.extend(of_all.iter().cloned());
-        let of_cell = json!(TransportParams { cluster, settings: traced.clone() });
-        let cost = RAYS_PER_RAY * cost / 1000;
-        let transport = rays.task(format!("cluster {label}"), of_cell, inputs, cost).alike(name);
-        planned.add(context, transport, cell.receivers.len());
+    let mut cluster = 0;
+    for ((of, cells), (common, _)) in rays.iter().zip(&cells_by).zip(&commons) {
+        let names: Vec<Digest> =
+            cells.par_iter().map(|cell| alike(&world, common, &cell.bounds_m, &cell.receivers)).collect();
+        for ((cell, label), name) in cells.iter().zip(cell_names(cells)).zip(names) {
+            let cost = cell.receivers.len() as u64 * u64::from(of.settings.transport.transport_rays);
+            let mut inputs = context.as_inputs(is_read_by_transport);
+            inputs.extend(of_all.iter().cloned());
+            let of_cell = json!(TransportParams { cluster, settings: of.traced.clone() });
+            let (label, cost) = (format!("{} {label}", of.label), RAYS_PER_RAY * cost / 1000);
+            planned.add(
+                context,
+                of.task.task(label, of_cell, inputs, cost).alike(name),
+                cell.receivers.len(),
+            );
+            cluster += 1;
+        }
     }
     if settings.has_voxels.is_on() {
         let stage = planned.input(STAGE_ARTEFACT);

@@ -10,7 +10,7 @@ use serde_json::json;
 use super::run;
 use crate::assemble::{KindPart, assembled};
 use crate::evaluate::{ChunkBytes, Evaluated, EvaluationError};
-use crate::kinds::prt::{self, Assembled, TracedSettings};
+use crate::kinds::prt::{self, Assembled, Rays, TracedSettings};
 use crate::kinds::{BakeKind, BakeKinds, TaskRow};
 use crate::lightmap::World;
 use crate::task::{Context, Progress, TaskError, TaskOutput, params};
@@ -58,9 +58,15 @@ fn traced(settings: &Settings) -> TracedSettings {
 /// Task `voxels.plan`: inputs are the outputs of all scene tasks; outputs `cells`, `stage`, `patch-set`.
 fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let bake: BakeParams = params(task)?;
-    let all = World::of(context)?.all_receivers();
-    let rays = (tasks::RECEIVERS, traced(&bake.settings));
-    let planned = prt::planned_of(context, &bake.settings.relightable(), rays, &all)?;
+    let settings = bake.settings.relightable();
+    let rays = Rays {
+        task: tasks::RECEIVERS,
+        label: "cluster",
+        traced: traced(&bake.settings),
+        settings: &settings,
+        receivers: World::of(context)?.all_receivers(),
+    };
+    let planned = prt::planned_of(context, &settings, &[rays])?;
     let (plan, artefacts) = planned.with_assemble(context, tasks::ASSEMBLE, json!(bake));
     Ok(TaskOutput { artefacts, plan, ..TaskOutput::default() })
 }

@@ -40,7 +40,7 @@ impl Room {
             colours: Vec::new(),
             triangles,
             world_from_object: glam::Mat4::IDENTITY,
-            is_lit_by_probes: None,
+            lit_by: None,
         });
         self.scene.materials.push(Material {
             name: String::new(),

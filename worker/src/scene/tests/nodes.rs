@@ -5,6 +5,7 @@ use lightkiln_proto::scene::LightKind;
 use serde_json::{Value, json};
 
 use super::document_builder::{Document, UNSIGNED_BYTE, codes};
+use crate::scene::model::LitBy;
 use crate::scene::{Bundle, ImportError, Limits, import};
 
 /// The triangle with +z normals under `node`, which must not move its plane's sides apart.
@@ -274,12 +275,13 @@ fn extras_say_what_lights_a_node_and_all_below_it() {
         {"mesh": 0, "translation": [1, 0, 0], "extras": {"kiln_lit": "texels"}},
         {"mesh": 0, "translation": [2, 0, 0], "extras": {"kiln_lit": ["candles"]}},
         {"mesh": 0, "translation": [3, 0, 0], "extras": 7},
+        {"mesh": 0, "translation": [4, 0, 0], "extras": {"kiln_lit": "walks"}},
     ]);
-    document.json["scenes"] = json!([{"nodes": [0, 4]}]);
+    document.json["scenes"] = json!([{"nodes": [0, 4, 5]}]);
     let imported = document.import().unwrap();
-    let lit: Vec<Option<bool>> =
-        imported.scene.instances.iter().map(|instance| instance.is_lit_by_probes).collect();
-    assert_eq!(lit, [Some(true), Some(false), Some(true), None]);
+    let lit: Vec<Option<LitBy>> = imported.scene.instances.iter().map(|instance| instance.lit_by).collect();
+    let [probes, texels, walks] = [LitBy::Probes, LitBy::Texels, LitBy::Walks].map(Some);
+    assert_eq!(lit, [probes, texels, probes, None, walks]);
     assert_eq!(codes(&imported), ["lit-by-something-else"]);
     assert!(imported.warnings[0].message.contains(r#""kiln_lit": ["candles"]"#), "{:?}", imported.warnings);
 }

@@ -40,7 +40,7 @@ fn scene(width: u32, height: u32, pixels: &[[u8; 4]]) -> Scene {
         colours: vec![[1.0, 0.5, 1.0, 1.0]; 3],
         triangles: vec![[0, 1, 2]],
         world_from_object: glam::Mat4::IDENTITY,
-        is_lit_by_probes: None,
+        lit_by: None,
     };
     let image = SceneImage {
         name: "image".to_owned(),

@@ -35,7 +35,7 @@ fn add(scene: &mut Scene, sides: &[[Vec3; 4]], emission: f32) {
             colours: Vec::new(),
             triangles: vec![[0, 1, 2], [0, 2, 3]],
             world_from_object: glam::Mat4::IDENTITY,
-            is_lit_by_probes: None,
+            lit_by: None,
         });
     }
     scene.materials.push(Material {

@@ -7,12 +7,12 @@ use lightkiln_proto::chunk;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, PatchSet, Texel};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::prt::PATCHES;
-use lightkiln_proto::manifest::{CLUSTERS, Manifest};
+use lightkiln_proto::manifest::{CLUSTERS, ChunkRef, Manifest};
 use lightkiln_proto::relight::{Limit, PatchTable, stand_in};
 use rayon::prelude::*;
 
 use super::base::Base;
-use super::memory::rung_memory;
+use super::memory::{rung_memory, voxel_memory};
 use super::one_of;
 use super::only::{names, only};
 use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
@@ -43,14 +43,14 @@ pub struct PrtStream {
 }
 
 impl PrtStream {
-    /// Fetches patches, overview and voxels.
+    /// Fetches patches, overview and the coarser voxels.
     pub fn begin(source: &Source, manifest: &Manifest) -> Result<Self> {
         let sets = decoded(source, manifest, PATCHES, |bytes| Ok(chunk::decode_patches(bytes)?))?;
         let set = one_of(&sets)?.clone();
         let base = Base::fetch(source, manifest)?;
         let mut stream = Self {
             base_bytes: Base::bytes(manifest),
-            base_memory: base.memory(&set),
+            base_memory: base.memory(&set, manifest),
             set,
             base,
             clusters: BTreeMap::new(),
@@ -70,7 +70,7 @@ impl PrtStream {
             decoded_layers(layers_of(manifest, **index), bytes).map(|(cluster, _)| cluster)
         };
         let mut contents: Vec<ClusterTransport> = held.par_iter().map(decoded).collect::<Result<_>>()?;
-        if self.streamed.is_whole() {
+        if self.has_all_clusters() {
             return LightmapLight::assemble(scene, &contents, |slots| PatchTable::new(&self.set, slots));
         }
         let there: HashSet<(BlockKey, Texel)> = contents.iter().flat_map(names).collect();
@@ -91,16 +91,23 @@ impl PrtStream {
         let memory = |(index, bytes): (&usize, &Vec<u8>)| rung_memory(of(*index), bytes.len() as u64);
         let memory_of_all =
             (0..manifest.clusters.len()).map(|index| rung_memory(of(index), of(index).chunk.bytes));
+        let [come, left] = self.base.more(manifest);
+        let bytes_of = |chunks: &[ChunkRef]| chunks.iter().map(|chunk| chunk.bytes).sum::<u64>();
+        let memory_of_more =
+            |chunks: &[ChunkRef]| chunks.iter().map(|chunk| voxel_memory(chunk.bytes)).sum::<u64>();
+        let there = self.least_bytes(manifest);
+        let memory_there = self.base_memory + memory_of_more(come);
         self.streamed = Streamed {
-            bytes: self.base_bytes + self.clusters.values().map(|bytes| bytes.len() as u64).sum::<u64>(),
-            bytes_all: self.base_bytes + manifest.bytes_of(CLUSTERS),
+            bytes: there + self.clusters.values().map(|bytes| bytes.len() as u64).sum::<u64>(),
+            bytes_all: there + bytes_of(left) + manifest.bytes_of(CLUSTERS),
+            rest: left.len(),
             clusters: self.clusters.len(),
             whole: self.clusters.iter().filter(is_whole).count(),
             clusters_all: manifest.clusters.len(),
             lost: self.lost.len(),
-            memory: self.base_memory + self.clusters.iter().map(memory).sum::<u64>(),
-            memory_all: self.base_memory + memory_of_all.sum::<u64>(),
-            memory_least: self.base_memory,
+            memory: memory_there + self.clusters.iter().map(memory).sum::<u64>(),
+            memory_all: memory_there + memory_of_more(left) + memory_of_all.sum::<u64>(),
+            memory_least: memory_there,
             baked: self.streamed.baked,
             turns: self.streamed.turns,
         };
@@ -115,6 +122,7 @@ impl LightStream for PrtStream {
     fn light(&self, scene: &LoadedScene, manifest: &Manifest) -> Result<Box<dyn Light>> {
         let mut light = self.assembled(scene, manifest)?;
         light.voxels = self.base.voxels(&light.transport.columns)?;
+        super::walk(&mut light)?;
         Ok(Box::new(light))
     }
 
@@ -127,7 +135,7 @@ impl LightStream for PrtStream {
     fn ended(&mut self, source: &Source, before: &Manifest, manifest: &Manifest) -> Result<()> {
         self.base = Base::fetch(source, manifest)?;
         self.base_bytes = Base::bytes(manifest);
-        self.base_memory = self.base.memory(&self.set);
+        self.base_memory = self.base.memory(&self.set, manifest);
         let numbers: BTreeMap<Digest, usize> =
             manifest.chunks(CLUSTERS).iter().map(|chunk| chunk.digest).zip(0..).collect();
         let number = |index: usize| numbers.get(&before.chunks(CLUSTERS).get(index)?.digest).copied();
@@ -155,19 +163,54 @@ impl LightStream for PrtStream {
         limit: Limit,
     ) -> Result<()> {
         let mut budget = budget;
+        if budget.memory < self.streamed.memory_least || budget.bytes < self.least_bytes(of.1) {
+            self.base.let_go();
+            self.count(of.1);
+            self.streamed.turns += 1;
+        }
         loop {
             let passed_over = self.passed_over.len();
             let plan = self.plan(of.1, (light, lit), viewpoint, budget, limit);
             budget.step = budget.step.saturating_sub(self.follow(of, &plan, budget)?);
             // Others take the share of those that turned out to be lost.
             if self.passed_over.len() == passed_over {
-                return Ok(());
+                break;
             }
         }
+        if self.has_all_clusters() && budget.step > 0 {
+            self.fetch_more(of, budget)?;
+        }
+        Ok(())
     }
 }
 
 impl PrtStream {
+    /// All clusters are there with all of their layers.
+    fn has_all_clusters(&self) -> bool {
+        let Streamed { baked, whole, clusters_all, .. } = self.streamed;
+        baked.is_none() && whole == clusters_all
+    }
+
+    /// Bytes of what is there beside clusters.
+    fn least_bytes(&self, manifest: &Manifest) -> u64 {
+        let [come, _] = self.base.more(manifest);
+        self.base_bytes + come.iter().map(|chunk| chunk.bytes).sum::<u64>()
+    }
+
+    /// Fetches what comes after clusters, as far as there is room.
+    fn fetch_more(&mut self, (source, manifest): (&Source, &Manifest), budget: Budget) -> Result<()> {
+        let Streamed { bytes, memory, .. } = self.streamed;
+        let room = Budget {
+            bytes: budget.bytes.saturating_sub(bytes),
+            memory: budget.memory.saturating_sub(memory),
+            ..budget
+        };
+        let come = self.base.fetch_more(source, manifest, room)?;
+        self.count(manifest);
+        self.streamed.turns += u64::from(come > 0);
+        Ok(())
+    }
+
     /// Fetches and lets go by a plan; gives the bytes that came.
     fn follow(
         &mut self,
@@ -256,17 +299,15 @@ impl PrtStream {
         let candidates: Vec<Candidate> =
             (0..manifest.clusters.len()).map(|index| self.candidate(layers_of(manifest, index))).collect();
         let budget = Budget {
-            bytes: budget.bytes.saturating_sub(self.base_bytes),
-            memory: budget.memory.saturating_sub(self.base_memory),
+            bytes: budget.bytes.saturating_sub(self.least_bytes(manifest)),
+            memory: budget.memory.saturating_sub(self.streamed.memory_least),
             ..budget
         };
         let all = |of: &Candidate| of.rung(of.rungs.len());
-        let rest = self.streamed.bytes_all - self.streamed.bytes;
+        let of_clusters = manifest.bytes_of(CLUSTERS);
+        let rest = of_clusters - self.clusters.values().map(|bytes| bytes.len() as u64).sum::<u64>();
         let memory: u64 = candidates.iter().map(|of| all(of).memory).sum();
-        if self.streamed.bytes_all - self.base_bytes <= budget.bytes
-            && rest <= budget.step
-            && memory <= budget.memory
-        {
+        if of_clusters <= budget.bytes && rest <= budget.step && memory <= budget.memory {
             let missing = candidates.iter().enumerate().filter(|(_, of)| of.held < of.rungs.len());
             return Plan {
                 fetch: missing.map(|(index, of)| (index, of.rungs.len())).collect(),
@@ -321,164 +362,4 @@ fn layers_of(manifest: &Manifest, cluster: usize) -> Layers<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use lightkiln_proto::kinds::prt as prt_kind;
-    use lightkiln_proto::manifest::OVERVIEW;
-
-    use super::*;
-    use crate::bake::LoadedBake;
-    use crate::fixture::write_bundle;
-    use crate::kinds;
-    use crate::preview::{Backend, StreamedBake, View, render};
-    use crate::tests::fixture_view;
-
-    /// The fixture's bundle, a quarter of whose receivers are in the overview.
-    fn streamed(folder: &std::path::Path) -> (Source, StreamedBake) {
-        write_bundle(folder, prt_kind::NAME);
-        let source = Source::bundle(folder).unwrap();
-        let streamed = StreamedBake::begin(&source, &kinds::all(), Budget::NONE).unwrap();
-        (source, streamed)
-    }
-
-    fn picture(bake: &LoadedBake, view: &View) -> Vec<[f32; 3]> {
-        render(bake, view, Backend::Cpu).unwrap().linear
-    }
-
-    fn mean(picture: &[[f32; 3]]) -> Vec3 {
-        picture.iter().map(|pixel| Vec3::from(*pixel)).sum::<Vec3>() / picture.len() as f32
-    }
-
-    #[test]
-    fn light_of_all_pieces_is_that_of_the_whole_bit_for_bit_and_the_overview_is_near_it() {
-        let folder = tempfile::tempdir().unwrap();
-        let (source, mut streamed) = streamed(folder.path());
-        let (_, view) = fixture_view();
-        let whole = picture(&LoadedBake::load(&source, &kinds::all()).unwrap(), &view);
-        let first = picture(&streamed.bake, &view);
-        assert_ne!(first, whole);
-        let ratio = mean(&first) / mean(&whole);
-        // A room of some hundred receivers, every fourth of which is there.
-        assert!((ratio - 1.0).abs().max_element() < 0.1, "{ratio}");
-        streamed.refine(&view, Budget::NONE).unwrap();
-        let all = streamed.streamed();
-        assert_eq!((all.bytes, all.clusters), (all.bytes_all, all.clusters_all));
-        assert_eq!(picture(&streamed.bake, &view), whole);
-    }
-
-    #[test]
-    fn layers_that_came_one_by_one_make_the_light_of_the_whole_bit_for_bit() {
-        let folder = tempfile::tempdir().unwrap();
-        let (source, mut streamed) = streamed(folder.path());
-        let (_, view) = fixture_view();
-        let whole = picture(&LoadedBake::load(&source, &kinds::all()).unwrap(), &view);
-        let Streamed { bytes, bytes_all, .. } = streamed.streamed();
-        let (mut in_part, mut step) = (0, (bytes_all - bytes) / 5);
-        while !streamed.streamed().is_whole() {
-            let before = streamed.streamed();
-            streamed.refine(&view, Budget { step, ..Budget::NONE }).unwrap();
-            let after = streamed.streamed();
-            assert!(after.bytes - before.bytes <= step);
-            step += if after == before { step } else { 0 };
-            in_part = in_part.max(after.clusters - after.whole);
-            let energy = mean(&picture(&streamed.bake, &view)) / mean(&whole);
-            // The fixture's ranks do not fall: those that are cut off weigh as much as others.
-            assert!((energy - 1.0).abs().max_element() < 0.5, "{energy} after {after:?}");
-        }
-        assert!(in_part > 1, "clusters came by layers");
-        assert_eq!(streamed.streamed().bytes, streamed.streamed().bytes_all);
-        assert_eq!(picture(&streamed.bake, &view), whole);
-    }
-
-    #[test]
-    fn clusters_that_memory_has_no_room_for_go_back_to_fewer_layers_and_come_again() {
-        let folder = tempfile::tempdir().unwrap();
-        let (source, mut streamed) = streamed(folder.path());
-        let (_, view) = fixture_view();
-        let whole = picture(&LoadedBake::load(&source, &kinds::all()).unwrap(), &view);
-        let least = streamed.streamed().memory;
-        streamed.refine(&view, Budget::NONE).unwrap();
-        let all = streamed.streamed();
-        let memory = least + (all.memory - least) / 2;
-        streamed.refine(&view, Budget { memory, ..Budget::NONE }).unwrap();
-        let part = streamed.streamed();
-        assert!(part.memory <= memory && part.memory > least && part.bytes < all.bytes, "{part:?}");
-        assert_ne!(picture(&streamed.bake, &view), whole);
-        streamed.refine(&view, Budget { memory, ..Budget::NONE }).unwrap();
-        assert_eq!(streamed.streamed(), part, "the same view lets nothing go");
-        streamed.refine(&view, Budget::NONE).unwrap();
-        assert!(streamed.streamed().is_whole());
-        assert_eq!(picture(&streamed.bake, &view), whole);
-        let less: Vec<u64> =
-            std::iter::successors(Some(u64::MAX), |memory| streamed.less_memory(*memory)).skip(1).collect();
-        assert!(less[0] < all.memory && less.windows(2).all(|pair| pair[1] < pair[0]), "{less:?}");
-        assert_eq!((less.last(), less.len() > 4), (Some(&least), true), "{less:?}");
-        let too_few = Budget { memory: least - 1, ..Budget::NONE };
-        let error = StreamedBake::begin(&source, &kinds::all(), too_few).err().unwrap().to_string();
-        assert!(error.contains(&least.to_string()), "{error}");
-    }
-
-    #[test]
-    fn as_many_clusters_go_as_room_is_needed_for_and_those_that_came_for_the_view_are_kept() {
-        let folder = tempfile::tempdir().unwrap();
-        let (source, streamed) = streamed(folder.path());
-        let scene = &streamed.bake.scene;
-        let manifest = &scene.manifest;
-        let mut stream = PrtStream::begin(&source, &scene.manifest).unwrap();
-        for (index, chunk) in manifest.chunks(CLUSTERS).iter().enumerate() {
-            stream.clusters.insert(index, source.chunk(chunk).unwrap());
-        }
-        stream.count(manifest);
-        let all = stream.streamed;
-        let evict = [(2, 0), (4, 0)];
-        let of_memory = |memory| Budget { memory, ..Budget::NONE };
-        // As where a server was lost before anything came.
-        assert!(!stream.make_room(manifest, &evict, of_memory(all.memory)));
-        assert_eq!(stream.streamed, all);
-        assert!(stream.make_room(manifest, &evict, of_memory(all.memory - 1)));
-        assert_eq!(stream.clusters.keys().copied().collect::<Vec<usize>>(), [0, 1, 3, 4, 5, 6]);
-        assert_eq!(stream.streamed.bytes, all.bytes - manifest.chunks(CLUSTERS)[2].bytes);
-        stream.fresh.insert(1);
-        let kept = |stream: &PrtStream, index: usize| stream.candidate(layers_of(manifest, index)).kept;
-        assert_eq!([0, 1].map(|index| kept(&stream, index)), [0, layers_of(manifest, 1).count()]);
-        stream.change_view();
-        assert_eq!(kept(&stream, 1), 0);
-    }
-
-    #[test]
-    fn clusters_come_as_far_as_the_bytes_go() {
-        let folder = tempfile::tempdir().unwrap();
-        let (source, mut streamed) = streamed(folder.path());
-        let (_, view) = fixture_view();
-        let before = streamed.streamed();
-        assert_eq!((before.clusters, before.clusters_all), (0, 7));
-        let error = StreamedBake::begin(&source, &kinds::all(), Budget::of_bytes(before.bytes - 1))
-            .err()
-            .unwrap()
-            .to_string();
-        assert!(error.contains(&before.bytes.to_string()), "{error}");
-        streamed.refine(&view, Budget::of_bytes(before.bytes)).unwrap();
-        assert_eq!(streamed.streamed(), before);
-        let half = (before.bytes + before.bytes_all) / 2;
-        streamed.refine(&view, Budget::of_bytes(half)).unwrap();
-        let after = streamed.streamed();
-        assert!(after.clusters > 0 && after.whole < 7 && after.bytes <= half, "{after:?}");
-        assert!(mean(&picture(&streamed.bake, &view)).is_finite());
-    }
-
-    #[test]
-    fn bakes_without_an_overview_say_so_before_anything_is_fetched() {
-        for kind in ["sh", "prt"] {
-            let folder = tempfile::tempdir().unwrap();
-            write_bundle(folder.path(), kind);
-            let path = folder.path().join(crate::fetch::MANIFEST_FILE);
-            let mut manifest: serde_json::Value =
-                serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-            manifest["chunks"].as_object_mut().unwrap().remove(OVERVIEW);
-            std::fs::write(&path, manifest.to_string()).unwrap();
-            let source = Source::bundle(folder.path()).unwrap();
-            let problem =
-                StreamedBake::begin(&source, &kinds::all(), Budget::NONE).err().unwrap().to_string();
-            assert!(problem.contains(kind) && problem.contains("no overview"), "{problem}");
-        }
-    }
-}
+mod tests;
