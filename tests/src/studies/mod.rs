@@ -8,6 +8,7 @@ mod measure;
 pub mod papers;
 mod plot;
 mod report;
+pub mod voxels;
 pub mod walks;
 
 pub use list::STUDIES;

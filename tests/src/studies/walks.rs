@@ -16,6 +16,7 @@ use lightkiln_worker::emitters::radiance_of_emitters;
 use lightkiln_worker::evaluate::default_lights;
 use lightkiln_worker::geometry::Site;
 use lightkiln_worker::lightmap::Surface;
+use lightkiln_worker::rays::Hit;
 use lightkiln_worker::reference::luminance;
 use lightkiln_worker::scene::{self, Limits};
 use rayon::prelude::*;
@@ -23,40 +24,44 @@ use rayon::prelude::*;
 use crate::harness::{Held, Recipe};
 
 /// Half angles of cones, in degrees.
-const HALF_ANGLES_DEG: [f32; 4] = [2.0, 8.0, 15.0, 30.0];
+pub(super) const HALF_ANGLES_DEG: [f32; 4] = [2.0, 8.0, 15.0, 30.0];
 /// Walks of a cone, and rays of its truth.
-const CONE_WALKS: u32 = 16;
-const CONE_RAYS: u32 = 512;
+pub(super) const CONE_WALKS: u32 = 16;
+pub(super) const CONE_RAYS: u32 = 512;
 /// Sites, and cones about each.
-const SITES: usize = 300;
-const CONES: u32 = 16;
+pub(super) const SITES: usize = 300;
+pub(super) const CONES: u32 = 16;
 /// Rays of the truth of ambient occlusion.
-const OCCLUSION_RAYS: u32 = 1024;
+pub(super) const OCCLUSION_RAYS: u32 = 1024;
 /// Walks whose speed and leaks are measured.
 const WALKS: u32 = 400_000;
 
 /// The bake's own light along rays and walks.
-struct Lights<'a> {
-    held: &'a Held,
-    light: WalkLight<'a>,
-    table: &'a VoxelTable,
-    patch_of_slot: Vec<u32>,
-    emitter_scale: f32,
+pub(super) struct Lights<'a> {
+    pub(super) held: &'a Held,
+    pub(super) light: WalkLight<'a>,
+    pub(super) table: &'a VoxelTable,
+    pub(super) patch_of_slot: Vec<u32>,
+    pub(super) emitter_scale: f32,
 }
 
 impl Lights<'_> {
     /// Radiance along a ray, of the finest patch that it meets.
-    fn by_ray(&self, site: &Site, direction: Vec3) -> Vec3 {
+    pub(super) fn by_ray(&self, site: &Site, direction: Vec3) -> Vec3 {
+        let geometry = &self.held.world.geometry;
+        let from_m = geometry.lifted(site.position_m, site.face_normal);
+        let hit = geometry.tracer.closest(from_m, direction, f32::INFINITY);
+        hit.map_or_else(|| self.light.of_sky(direction), |hit| self.of_hit(&hit))
+    }
+
+    /// Radiance of the side that is hit.
+    pub(super) fn of_hit(&self, hit: &Hit) -> Vec3 {
         let world = &self.held.world;
-        let from_m = world.geometry.lifted(site.position_m, site.face_normal);
-        let Some(hit) = world.geometry.tracer.closest(from_m, direction, f32::INFINITY) else {
-            return self.light.of_sky(direction);
-        };
-        if world.geometry.is_back(&hit) {
+        if world.geometry.is_back(hit) {
             return Vec3::ZERO;
         }
         let glow = Vec3::from(world.geometry.material(hit.triangle).emissive) * self.emitter_scale;
-        let met = world.linked_surface_at(&hit, world.geometry.point_of(&hit));
+        let met = world.linked_surface_at(hit, world.geometry.point_of(hit));
         let Surface::Receiver(receiver) = met else { return glow };
         let slot = self.held.slot(receiver);
         let patch =
@@ -64,7 +69,7 @@ impl Lights<'_> {
         glow + patch.map_or(Vec3::ZERO, |patch| self.light.of_patch(*patch))
     }
 
-    fn by_walk(&self, site: &Site, direction: Vec3, tangent: f32) -> Vec3 {
+    pub(super) fn by_walk(&self, site: &Site, direction: Vec3, tangent: f32) -> Vec3 {
         let start = Start::on(site.position_m, site.face_normal);
         let met = walk(self.table, &start, direction, tangent).map_or(Seen::Sky(direction), Seen::Hit);
         self.light.radiance(&met)
@@ -108,7 +113,7 @@ pub fn measured(path: &Path, settings: serde_json::Value) -> Result<String> {
     let (table, patches) = held.decoded.voxels(&held.bake)?;
     let mut page = format!("| `{name}` | |\n|---|---|\n");
     page += &sizes(&held, &table)?;
-    let sites = sites(&held);
+    let sites = sites(&held, SITES);
     let emitters = radiance_of_emitters(&held.world.geometry.scene);
     for chosen in default_lights(&held.world.geometry).lights {
         let lit = held.under(&chosen.lighting)?;
@@ -132,10 +137,10 @@ pub fn measured(path: &Path, settings: serde_json::Value) -> Result<String> {
     Ok(page)
 }
 
-/// Receivers, evenly chosen.
-fn sites(held: &Held) -> Vec<Site> {
+/// So many receivers, evenly chosen.
+pub(super) fn sites(held: &Held, count: usize) -> Vec<Site> {
     let all: Vec<u32> = held.receivers(|_| true).into_iter().filter(|&r| held.slot(r).is_some()).collect();
-    let step = (all.len() / SITES).max(1);
+    let step = (all.len() / count).max(1);
     all.iter()
         .step_by(step)
         .map(|&receiver| held.world.lightmap.receivers[receiver as usize].site())
