@@ -11,7 +11,7 @@ fn main() -> Result<()> {
     let scene = arguments.next().context("name a scene: a glTF or GLB file")?;
     let mut options = Options {
         bake: serde_json::json!({ "preset": "draft", "voxels": "on" }),
-        build: Build { depth: 7, shadow_map: 512, sampling: Sampling::Paper },
+        build: Build { depth: 7, shadow_map: 512, sampling: Sampling::Paper, start: 2.0 },
         kinds: Kind::ALL.to_vec(),
         light: "point".to_owned(),
         sites: 300,
@@ -27,6 +27,7 @@ fn main() -> Result<()> {
                 options.kinds.retain(|kind| kind.model == model);
             }
             "depth" => options.build.depth = value.parse()?,
+            "start" => options.build.start = value.parse()?,
             "shadow_map" => options.build.shadow_map = value.parse()?,
             "sampling" => options.build.sampling = sampling(value)?,
             "light" => options.light = value.to_owned(),

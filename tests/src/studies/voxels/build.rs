@@ -22,6 +22,8 @@ pub struct Build {
     pub shadow_map: u32,
     /// Places of samples along cones.
     pub sampling: Sampling,
+    /// Distance from a surface at which mended cones start, in voxels.
+    pub start: f32,
 }
 
 /// Seconds of the steps.
@@ -72,7 +74,11 @@ pub fn built(
     }
     let (levels, filter) = filtered(&tree, &leaves, kind);
     times.filter = filter;
-    Built { volume: Volume { tree, levels, kind, sampling: build.sampling }, times, injected }
+    Built {
+        volume: Volume { tree, levels, kind, sampling: build.sampling, start: build.start },
+        times,
+        injected,
+    }
 }
 
 fn timed<T>(secs: &mut f64, step: impl FnOnce() -> T) -> T {

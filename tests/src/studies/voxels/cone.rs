@@ -16,8 +16,6 @@ const OPAQUE: f32 = 0.9999;
 const SAMPLES_MAX: usize = 1 << 12;
 /// Half angle from which cones are wide: one sample a level.
 const WIDE_RAD: f32 = 0.2;
-/// Distance from a surface at which mended cones start, in voxels.
-const START: f32 = 2.0;
 /// Most diffuse cones in one ring.
 const RING_MAX: u32 = 12;
 /// Turn from cone to cone of a spiral.
@@ -34,6 +32,8 @@ pub struct Volume {
     pub kind: Kind,
     /// Places of samples.
     pub sampling: Sampling,
+    /// Distance from a surface at which mended cones start, in voxels.
+    pub start: f32,
 }
 
 /// A cone from a point.
@@ -66,7 +66,7 @@ impl Volume {
         let cube = &self.tree.cube;
         let voxel_m = cube.voxel_m();
         let is_mended = self.kind.manner == Manner::Mended;
-        let off_m = if is_mended { START * voxel_m } else { 0.0 };
+        let off_m = if is_mended { self.start * voxel_m } else { 0.0 };
         let from_m = cone.from_m + cone.normal * off_m;
         let mut met = Met::default();
         for (along_m, size_m) in self.samples(cone.half_angle_rad) {
@@ -81,7 +81,7 @@ impl Volume {
             // As written opacities add up, whatever is left.
             let stopped = if is_mended { left * opacity } else { opacity.min(left) };
             met.opacity += stopped;
-            met.near += stopped * (1.0 - (along_m / reach_m).min(1.0)).powi(2);
+            met.near += stopped * (1.0 - ((off_m + along_m) / reach_m).min(1.0)).powi(2);
             if met.opacity >= if is_mended { OPAQUE } else { 1.0 } {
                 break;
             }

@@ -45,14 +45,7 @@ fn cases() -> [Case; 3] {
     ]
 }
 
-/// Mean irradiance of some receivers, and the mean share of their cones that nothing stops.
-#[derive(Clone, Copy, Debug, Default)]
-struct Mean {
-    light: f64,
-    unstopped: f64,
-}
-
-/// Light behind walls over that on the lamp's side, of all models and of walks; a table in Markdown.
+/// Bounced light behind walls over all light, direct and bounced, on the lamp's side, of all models and of walks; a table in Markdown.
 pub fn leaks(build: &Build) -> Result<String> {
     let names: Vec<String> = Kind::ALL.iter().map(|kind| kind.words()).collect();
     let mut page =
@@ -61,8 +54,8 @@ pub fn leaks(build: &Build) -> Result<String> {
     for case in cases() {
         for (words, turn) in [("", Quat::IDENTITY), (", turned", odd)] {
             page += &format!("| `{}`{words} |", case.name);
-            for [dark, lit] in means(&case, turn, build)? {
-                page += &format!(" {}, {} |", percent(dark.light / lit.light), percent(dark.unstopped));
+            for [light, unstopped] in shares(&case, turn, build)? {
+                page += &format!(" {}, {} |", percent(light), percent(unstopped));
             }
             page += "\n";
         }
@@ -74,7 +67,8 @@ fn percent(share: f64) -> String {
     if share == 0.0 { "0".to_owned() } else { format!("{:.3} %", 100.0 * share) }
 }
 
-fn means(case: &Case, turn: Quat, build: &Build) -> Result<Vec<[Mean; 2]>> {
+/// Light behind the wall over that before it, and the share of cones there that nothing stops, by walks and by each model.
+fn shares(case: &Case, turn: Quat, build: &Build) -> Result<Vec<[f64; 2]>> {
     let settings = serde_json::json!({ "preset": "draft", "receivers_target": 20_000, "transport_rays": 128, "voxels": "on" });
     let held = Held::new(scenes::turned(&case.scene, turn), &Recipe { kind: "prt", settings })?;
     let (table, patches) = held.decoded.voxels(&held.bake)?;
@@ -86,7 +80,7 @@ fn means(case: &Case, turn: Quat, build: &Build) -> Result<Vec<[Mean; 2]>> {
     let light = WalkLight::new(&table, patches, &lit.light().settled.lambda, |_| Vec3::ZERO);
     let patch_of_slot = patches.finest_of_slots();
     let lights = Lights { held: &held, light, table: &table, patch_of_slot, emitter_scale: 0.0 };
-    let there = [true, false].map(|dark| {
+    let [dark, bright] = [true, false].map(|dark| {
         let all = held.receivers(|receiver| (case.is_dark)(turn.inverse() * receiver.position_m) == dark);
         let step = (all.len() / SITES).max(1);
         all.into_iter()
@@ -94,6 +88,10 @@ fn means(case: &Case, turn: Quat, build: &Build) -> Result<Vec<[Mean; 2]>> {
             .map(|receiver| (receiver, held.world.lightmap.receivers[receiver as usize].site()))
             .collect::<Vec<(u32, Site)>>()
     });
+    let all_light = |(receiver, site): &(u32, Site)| {
+        [luminance(lit.reference().direct_irradiance(site, 1) + lit.baked(*receiver)), 0.0]
+    };
+    let [before, _] = mean(&bright, all_light);
     let walked = |(receiver, site): &(u32, Site)| {
         let start = Start::on(site.position_m, site.face_normal);
         let bundle = Bundle::new(IRRADIANCE_WALKS, *receiver);
@@ -104,7 +102,7 @@ fn means(case: &Case, turn: Quat, build: &Build) -> Result<Vec<[Mean; 2]>> {
         });
         [luminance(found.as_dvec3()), f64::from(out.x) / std::f64::consts::PI]
     };
-    let mut found = vec![[0, 1].map(|side| mean(&there[side], walked))];
+    let mut found = vec![mean(&dark, walked)];
     let lamp = lamp_of(&lighting);
     for kind in Kind::ALL {
         let volume = built(&held.world.geometry, kind, build, lamp.as_ref(), |hit| lights.of_hit(hit)).volume;
@@ -113,14 +111,14 @@ fn means(case: &Case, turn: Quat, build: &Build) -> Result<Vec<[Mean; 2]>> {
             let found = volume.diffuse(place, CONES, OCCLUSION_REACH_M, |_| Vec3::ZERO);
             [luminance(found.irradiance.as_dvec3()), f64::from(found.unstopped)]
         };
-        found.push([0, 1].map(|side| mean(&there[side], coned)));
+        found.push(mean(&dark, coned));
     }
-    Ok(found)
+    anyhow::ensure!(before > 0.0, "{} is dark", case.name);
+    Ok(found.into_iter().map(|[light, unstopped]| [light / before, unstopped]).collect())
 }
 
-fn mean(sites: &[(u32, Site)], of: impl Fn(&(u32, Site)) -> [f64; 2] + Sync + Send) -> Mean {
+/// Means of two figures over receivers.
+fn mean(sites: &[(u32, Site)], of: impl Fn(&(u32, Site)) -> [f64; 2] + Sync + Send) -> [f64; 2] {
     let all: Vec<[f64; 2]> = sites.par_iter().map(of).collect();
-    let [light, unstopped] =
-        [0, 1].map(|which| all.iter().map(|found| found[which]).sum::<f64>() / all.len().max(1) as f64);
-    Mean { light, unstopped }
+    [0, 1].map(|which| all.iter().map(|found| found[which]).sum::<f64>() / all.len().max(1) as f64)
 }

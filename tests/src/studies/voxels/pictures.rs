@@ -21,7 +21,7 @@ use super::measure::Stage;
 use super::{Kind, Manner, Model};
 
 /// Pixels of a picture.
-const SIZE: [u32; 2] = [160, 120];
+const SIZE: [u32; 2] = [144, 108];
 /// Pixels between pictures.
 const GAP: u32 = 2;
 /// Diffuse cones where they are not varied.

@@ -94,11 +94,15 @@ pub fn steps(path: &Path, build: &Build) -> Result<String> {
     pool.install(|| {
         let stage = Stage::open(path)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Ok([by_depth(&stage, &name), voxelising(&stage, &name, build), injection(&stage, &name, build)]
-            .into_iter()
-            .chain([shadow_maps(&stage, &name), cone_counts(&stage, &name, build), bytes(&stage, &name)])
-            .collect::<Vec<String>>()
-            .join("\n"))
+        Ok([
+            by_depth(&stage, &name, build),
+            voxelising(&stage, &name, build),
+            injection(&stage, &name, build),
+        ]
+        .into_iter()
+        .chain([shadow_maps(&stage, &name), cone_counts(&stage, &name, build), bytes(&stage, &name)])
+        .collect::<Vec<String>>()
+        .join("\n"))
     })
 }
 
@@ -107,11 +111,11 @@ fn ms(secs: f64) -> String {
 }
 
 /// Tables 6.4, 6.5 and 6.9.
-fn by_depth(stage: &Stage, name: &str) -> String {
+fn by_depth(stage: &Stage, name: &str, build: &Build) -> String {
     let mut page = "| 6.4, 6.5, 6.9, ms | depth | model | octree | fill and filter | injection | 6 diffuse cones | a narrow cone |\n|---|---|---|---|---|---|---|---|\n".to_owned();
     for depth in [6, 7, 8] {
         for (model, words) in [(Model::Axes, "axes"), (Model::Lobes, "lobes")] {
-            let build = Build { depth, ..BUILD };
+            let build = Build { depth, ..*build };
             let Built { volume, times, .. } = stage.built(model, &build);
             let filter = times.filter.inside_secs + times.filter.up_secs + times.filter.edges_secs;
             page += &format!(
@@ -126,9 +130,6 @@ fn by_depth(stage: &Stage, name: &str) -> String {
     }
     page
 }
-
-/// Settings of timed octrees.
-const BUILD: Build = Build { depth: 7, shadow_map: 512, sampling: super::Sampling::Paper };
 
 /// Table 6.11.
 fn voxelising(stage: &Stage, name: &str, build: &Build) -> String {

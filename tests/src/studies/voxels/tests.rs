@@ -31,7 +31,7 @@ fn volume(kind: Kind, depth: u32, voxels: &[(IVec3, Corner)]) -> Volume {
     let tree = Tree::new(cube(depth), voxels.iter().map(|(cell, _)| *cell));
     let leaves = Leaves::new(voxels.iter().map(|(cell, row)| (*cell, *row, Vec3::ONE)));
     let (levels, _) = filtered(&tree, &leaves, kind);
-    Volume { tree, levels, kind, sampling: Sampling::Diameters }
+    Volume { tree, levels, kind, sampling: Sampling::Diameters, start: 2.0 }
 }
 
 /// A wall of voxels across an axis, from side to side of the cube.
@@ -185,7 +185,7 @@ fn geometry(scene: Vec<u8>) -> Geometry {
     Geometry::new(import(&Bundle::from_bytes(scene, &limits).unwrap(), &limits).unwrap().scene).unwrap()
 }
 
-const BUILD: Build = Build { depth: 6, shadow_map: 128, sampling: Sampling::Paper };
+const BUILD: Build = Build { depth: 6, shadow_map: 128, sampling: Sampling::Paper, start: 2.0 };
 
 /// A closed room whose walls have radiance 1 is of radiance 1 in every cone.
 #[test]
