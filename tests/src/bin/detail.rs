@@ -1,18 +1,18 @@
 //! Measures levels of detail of a bake, `tests/studies/lod.md`:
-//! `cargo run --release -p lightkiln-tests --bin detail -- pictures|frames BUNDLE CAMERA LIGHTS "NAME: words"…`, lights with semicolons
-//! between them, words as of `kiln preview --lod`. `KILN_KEEP_PICTURES` names a folder for pictures and their differences.
+//! `cargo run --release -p lightkiln-tests --bin detail -- pictures|frames|walks BUNDLE CAMERA LIGHTS "NAME: words"…`, lights with semicolons
+//! between them, words as of `kiln preview --lod`; `walks` of every so manieth pixel takes none. `KILN_KEEP_PICTURES` names a folder for pictures and their differences.
 
 use std::env;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use lightkiln_tests::studies::detail::{Found, Moved, Setup, Stage, moved};
+use lightkiln_tests::studies::detail::{Found, Moved, Setup, Stage, Walked, moved, walked};
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = env::args().skip(1).collect();
     let [what, bundle, camera, lights, setups @ ..] = &arguments[..] else {
         bail!(
-            "give pictures or frames, a bundle, a camera, lights with ; between them, and setups as \"NAME: words\""
+            "give pictures, frames or walks, a bundle, a camera, lights with ; between them, and setups as \"NAME: words\""
         );
     };
     let setups: Vec<Setup> = setups.iter().map(|setup| Setup::parse(setup)).collect::<Result<_>>()?;
@@ -24,13 +24,14 @@ fn main() -> Result<()> {
         let share = 100.0 * with as f64 / all.max(1) as f64;
         println!("{with} of {all} receivers have stand-ins ({share:.1} %)\n");
     }
+    let folder = env::var_os("KILN_KEEP_PICTURES").map(PathBuf::from);
     match what.as_str() {
         "pictures" => {
-            let folder = env::var_os("KILN_KEEP_PICTURES").map(PathBuf::from);
             print(&stage.measured(&view, &setups, folder.as_deref())?);
         }
         "frames" => print_moved(&moved(&mut stage, &view, &setups)?),
-        other => bail!("'{other}' is neither pictures nor frames"),
+        "walks" => print_walked(&walked(&stage, &view, folder.as_deref())?),
+        other => bail!("'{other}' is neither pictures, frames nor walks"),
     }
     Ok(())
 }
@@ -52,6 +53,14 @@ fn print(found: &[Found]) {
             all_ms / cost_ms(row),
             100.0 * error
         );
+    }
+}
+
+fn print_walked(found: &[Walked]) {
+    println!("| walks of every … pixel along a side | a frame | SSIM, of several samples | of one sample |");
+    println!("|---|---|---|---|");
+    for Walked { step, frame_ms, ssim, ssim_of_one } in found {
+        println!("| {step} | {frame_ms:.1} ms | {ssim:.4} | {ssim_of_one:.4} |");
     }
 }
 

@@ -15,16 +15,32 @@ const GREEN: [f32; 3] = [0.14, 0.45, 0.091];
 /// The classic box: 5.5 m, red wall on the left, green on the right, two boxes, and one warm ceiling panel that
 /// lies flush in a hole of the ceiling.
 pub fn cornell() -> Vec<u8> {
-    classic(true)
+    classic("cornell", Parts::default())
+}
+
+/// The same with a floor that reflects, and a short box of rough metal.
+pub fn cornell_glossy() -> Vec<u8> {
+    classic("cornell_glossy", Parts { is_glossy: true, ..Parts::default() })
 }
 
 /// The same without the short box.
 pub fn cornell_of_one_box() -> Vec<u8> {
-    classic(false)
+    classic("cornell", Parts { has_short_box: false, ..Parts::default() })
 }
 
-fn classic(has_short_box: bool) -> Vec<u8> {
-    let mut glb = Glb::new("cornell");
+struct Parts {
+    has_short_box: bool,
+    is_glossy: bool,
+}
+
+impl Default for Parts {
+    fn default() -> Self {
+        Self { has_short_box: true, is_glossy: false }
+    }
+}
+
+fn classic(name: &str, Parts { has_short_box, is_glossy }: Parts) -> Vec<u8> {
+    let mut glb = Glb::new(name);
     let white = glb.material(Surface::diffuse("white", WHITE));
     let red = glb.material(Surface::diffuse("red", RED));
     let green = glb.material(Surface::diffuse("green", GREEN));
@@ -34,7 +50,12 @@ fn classic(has_short_box: bool) -> Vec<u8> {
     let (panel_min, panel_max) = (Vec3::new(-0.65, 5.5, -3.3), Vec3::new(0.65, 5.5, -2.25));
     let ceiling =
         shapes::floor_with_hole(Vec3::new(min.x, max.y, min.z), max, panel_min, panel_max).flipped();
-    glb.object("floor", &shapes::room_side(min, max, Side::Bottom), white);
+    let (mut floor, mut metal) = (white, white);
+    if is_glossy {
+        floor = glb.material(Surface::diffuse("floor", WHITE).reflecting(0.0, 0.1));
+        metal = glb.material(Surface::diffuse("metal", WHITE).reflecting(1.0, 0.3));
+    }
+    glb.object("floor", &shapes::room_side(min, max, Side::Bottom), floor);
     glb.object("ceiling", &ceiling, white);
     glb.object("back wall", &shapes::room_side(min, max, Side::Back), white);
     glb.object("left wall", &shapes::room_side(min, max, Side::Left), red);
@@ -42,7 +63,7 @@ fn classic(has_short_box: bool) -> Vec<u8> {
     glb.object("ceiling panel", &shapes::room_side(panel_min, panel_max, Side::Top), panel);
 
     let short = shapes::standing_box(Vec3::ZERO, Vec3::new(1.65, 1.65, 1.65), 0.0);
-    let short = glb.mesh("short box", &[(&short, white)]);
+    let short = glb.mesh("short box", &[(&short, metal)]);
     if has_short_box {
         glb.place("short box", short, Vec3::new(0.93, 0.0, -1.69), -0.29);
     }

@@ -33,7 +33,7 @@ pub use contact::{
     hollow_pier_on_plate, lamp_close_to_a_ceiling, lone_floor, outside_m, outside_turned_m, room_of_sheets,
     round_column, slab_above_floor, slab_on_floor, strip_between_boards, tiled_floor,
 };
-pub use cornell::{cornell, cornell_large, cornell_of_one_box};
+pub use cornell::{cornell, cornell_glossy, cornell_large, cornell_of_one_box};
 pub use doors::{closet, mirrored_room};
 pub use edited::{FLAT_HALF_M, FLAT_WALL_M, Flat, Thing, flat};
 pub use hall::open_hall;
@@ -54,6 +54,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("atrium", atrium()),
         ("cornell", cornell()),
+        ("cornell_glossy", cornell_glossy()),
         ("cornell_large", cornell_large()),
         ("furnace", furnace(0.5, 1.0, 4.0)),
         ("open_hall", open_hall()),

@@ -12,9 +12,10 @@ use lightkiln_tests::scenes::{self, mesh::Mesh, shapes};
 use reader::{Triangle, fault, open_edges, parse, triangles};
 
 /// Most triangles a scene may have.
-const TRIANGLE_BUDGETS: [(&str, usize); 10] = [
+const TRIANGLE_BUDGETS: [(&str, usize); 11] = [
     ("atrium", 70_000),
     ("cornell", 100),
+    ("cornell_glossy", 100),
     ("cornell_large", 200),
     ("furnace", 12),
     ("open_hall", 20_000),

@@ -2,6 +2,7 @@
 
 mod frames;
 mod ssim;
+mod walks;
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -22,6 +23,7 @@ use lightkiln_proto::words::lod_from_text;
 
 pub use frames::{Moved, moved};
 pub use ssim::ssim;
+pub use walks::{Walked, walked};
 
 /// Bounces of pictures: closer than what is compared.
 const LIMIT: Limit = Limit { bounces_max: 400, change_max: 3e-4 };
