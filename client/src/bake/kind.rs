@@ -41,6 +41,12 @@ pub trait ClientKind: Send + Sync {
         ClientError::Source { text, problem: "shows no edits before they are baked: bake them".to_owned() }
     }
 
+    /// Bytes of light beside clusters that come after these.
+    fn bytes_last(&self, manifest: &Manifest) -> u64 {
+        let _ = manifest;
+        0
+    }
+
     /// Fetches the part of the light that comes first. Errs for a kind whose bakes have no such part.
     fn stream(&self, source: &Source, manifest: &Manifest) -> Result<Box<dyn LightStream>> {
         let _ = (source, manifest);

@@ -99,7 +99,7 @@ impl StreamedBake {
     ) -> Result<Self> {
         let kind = kinds.named(&manifest.kind)?;
         let clusters = manifest.bytes_of(CLUSTERS);
-        let first = manifest_bytes + manifest.bytes_light() - clusters
+        let first = manifest_bytes + manifest.bytes_light() - clusters - kind.bytes_last(manifest)
             + [DIRECTORY, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum::<u64>();
         if budget.bytes < first {
             let what = format!("{} bytes of light", budget.bytes);

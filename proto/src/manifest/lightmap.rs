@@ -33,7 +33,8 @@ pub struct Block {
     pub origin: [u32; 2],
 }
 
-mod hex_key {
+/// Keys as 16 hex digits.
+pub(crate) mod hex_key {
     use serde::{Deserialize, Deserializer, Serializer, de};
 
     pub fn serialize<S: Serializer>(key: &u64, serializer: S) -> Result<S::Ok, S::Error> {

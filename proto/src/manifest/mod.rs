@@ -25,6 +25,7 @@ pub use clusters::{
 };
 pub use directory::{CLUSTERS_MAX, DIRECTORY, DirectoryPage, PAGE_BYTES_MAX, Stored};
 pub use framing::{Chosen, Framing};
+pub(crate) use lightmap::hex_key;
 pub use lightmap::{Block, Lightmap};
 pub use materials::{Emitter, Glass, Material, NormalMap, Specular, TextureUse, Wrap};
 

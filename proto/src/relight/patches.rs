@@ -46,6 +46,9 @@ pub struct PatchTable {
     by_key: HashMap<PatchKey, u32>,
 }
 
+/// Patches of a chain of parts and wholes at most: there are as many levels.
+const DEPTH_MAX: usize = 16;
+
 impl PatchTable {
     /// The set of a bake.
     pub fn new(set: &PatchSet, slots: &SlotTable) -> Result<Self, Inconsistent> {
@@ -72,6 +75,13 @@ impl PatchTable {
         }
         for (row, parent) in table.patches.iter_mut().zip(parents(set)) {
             row.parent = parent;
+        }
+        let wholes = |patch: u32| {
+            let parent = |at: &u32| table.patches.get(*at as usize).map(|row| row.parent);
+            std::iter::successors(Some(patch), parent).take_while(|at| *at != NO_PATCH)
+        };
+        if let Some(patch) = (0..table.patches.len() as u32).find(|&of| wholes(of).nth(DEPTH_MAX).is_some()) {
+            return Err(format!("patch {patch} is part of more than {DEPTH_MAX} others"));
         }
         Ok(table)
     }

@@ -20,6 +20,9 @@ mod tests;
 
 use serde::{Deserialize, Serialize};
 
+use crate::content::BlockKey;
+use crate::manifest::{Manifest, hex_key};
+
 pub use chunk::{ROW, VOXELS_CHUNK, decode_voxels, decode_voxels_prefix, encode_voxels, voxel_layers};
 pub use cones::{
     Bundle, Cone, IRRADIANCE_WALKS, OCCLUSION_REACH_M, OCCLUSION_WALKS, REFLECTION_WALKS, Seen,
@@ -36,7 +39,7 @@ pub use table::{
     patch_numbers,
 };
 pub use walk::{NO_ELEMENT, STEPS_MAX, Start, WalkHit, walk, walk_within};
-pub use walked::{WALK_WEIGHT, walk_identity, walked, walked_without_factors};
+pub use walked::{LitByWalks, WALK_WEIGHT, light_of_walks, walk_identity, walked};
 
 /// Role of the chunks of voxels: that of the coarser levels first.
 pub const VOXELS: &str = "voxels";
@@ -53,6 +56,40 @@ pub struct VoxelTotals {
     pub bricks: u64,
     /// Elements of each level, the finest first.
     pub elements: Vec<u64>,
+    /// Blocks of receivers whose indirect light is that of walks, ascending; in a bake of walks alone it is that of all.
+    #[serde(default, skip_serializing_if = "WalkedBlocks::is_empty")]
+    pub walked: WalkedBlocks,
+}
+
+/// Keys of blocks, of 16 hex digits each in JSON.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WalkedBlocks(Vec<HexKey>);
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct HexKey(#[serde(with = "hex_key")] BlockKey);
+
+/// Blocks of a bake whose receivers have the light of walks, as its manifest's body tells them; none where it tells nothing.
+pub fn walked_blocks(manifest: &Manifest) -> WalkedBlocks {
+    let of_body = manifest.body.get(VOXELS).map(VoxelTotals::deserialize);
+    of_body.and_then(Result::ok).map(|totals| totals.walked).unwrap_or_default()
+}
+
+impl WalkedBlocks {
+    /// Of keys in any order.
+    pub fn new(mut keys: Vec<BlockKey>) -> Self {
+        keys.sort_unstable();
+        Self(keys.into_iter().map(HexKey).collect())
+    }
+
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The keys.
+    pub fn keys(&self) -> impl Iterator<Item = BlockKey> + '_ {
+        self.0.iter().map(|HexKey(key)| *key)
+    }
 }
 
 impl VoxelTotals {
@@ -78,14 +115,18 @@ impl VoxelTotals {
 
     /// For people; `bytes` are those of all chunks.
     pub fn words(&self, bytes: u64) -> String {
-        let Self { voxel_m, regions, bricks, elements } = self;
+        let Self { voxel_m, regions, bricks, elements, walked } = self;
         let all: u64 = elements.iter().sum();
         let each = bytes as f64 / all.max(1) as f64;
         let levels: Vec<String> = elements.iter().map(u64::to_string).collect();
         let levels = levels.join(" ");
+        let of_walks = match walked.keys().count() {
+            0 => String::new(),
+            count => format!("; {count} blocks of receivers have the light of walks"),
+        };
         format!(
             "{all} elements in voxels of {voxel_m} m and more, {bricks} bricks, {regions} regions, {each:.1} bytes an element; \
-             by level {levels}\n"
+             by level {levels}{of_walks}\n"
         )
     }
 }

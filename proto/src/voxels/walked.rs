@@ -1,9 +1,11 @@
 //! Walks of receivers, once and for all: where they end hangs on no light.
 
+use std::collections::HashSet;
 use std::f32::consts::PI;
 
 use glam::Vec3;
 
+use super::WalkedBlocks;
 use super::cones::{Bundle, Cone, IRRADIANCE_WALKS};
 use super::light::{first_of_sky, nearest_of_sky, sky_directions};
 use super::table::{DARK_PATCH, VoxelTable, mixed};
@@ -44,16 +46,32 @@ pub fn walked(
     })
 }
 
-/// The light of walks of all receivers of clusters without factors: those of things that are lit so, and where no light comes.
-pub fn walked_without_factors(
+/// Receivers whose indirect light is that of walks.
+#[derive(Clone, Copy, Debug)]
+pub enum LitByWalks<'a> {
+    /// All of a bake.
+    All,
+    /// Those of blocks.
+    Of(&'a WalkedBlocks),
+}
+
+/// The light of walks of such receivers.
+pub fn light_of_walks(
     voxels: &VoxelTable,
-    Transport { receivers, clusters, columns, near, .. }: &Transport<PatchTable>,
+    Transport { slots, receivers, columns, near, .. }: &Transport<PatchTable>,
+    of: LitByWalks<'_>,
     parallel: &impl Parallel,
 ) -> Result<WalkedTable, Inconsistent> {
-    let mut is_wanted = vec![false; receivers.len()];
-    for cluster in clusters.clusters.iter().filter(|cluster| cluster.rank == 0) {
-        let rows = cluster.first_row..cluster.first_row + cluster.row_count;
-        is_wanted.get_mut(rows).into_iter().for_each(|rows| rows.fill(true));
+    let mut is_wanted = vec![matches!(of, LitByWalks::All); receivers.len()];
+    if let LitByWalks::Of(blocks) = of
+        && !blocks.is_empty()
+    {
+        let blocks: HashSet<u32> = blocks.keys().filter_map(|key| slots.block_index(key)).collect();
+        for (slot, block, _) in slots.receivers() {
+            if let Some(is_wanted) = is_wanted.get_mut(slot as usize) {
+                *is_wanted = blocks.contains(&block);
+            }
+        }
     }
     let ends = walked(voxels, columns, receivers, |slot| is_wanted[slot as usize], parallel);
     WalkedTable::new(ends, WALK_WEIGHT, near)

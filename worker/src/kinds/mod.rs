@@ -221,8 +221,8 @@ pub struct FirstTasks<'a, P> {
     pub run: &'a [&'a str],
     /// Name of the task that is left out and whose inputs the evaluation reads, such as the kind's transport.
     pub up_to: &'a str,
-    /// Name of one that has the same inputs, but waits for others, and stands in for it where none of it is planned.
-    pub or_else: Option<&'a str>,
+    /// Names of those that have the same inputs, but may wait for others, and stand in for it where none of it is planned, the first ones first.
+    pub or_else: &'a [&'a str],
 }
 
 /// Makes a bake's world anew for [`BakeKind::evaluated`]: runs its first tasks inside the process, and calls `made` with the
@@ -243,8 +243,9 @@ pub fn made_anew<T>(
     let absent = || TaskError::bad_input(format!("no task '{up_to}' is left whose inputs are all there"));
     let is_ready = |task: &&TaskSpec| task.kind == up_to && run.is_ready(task);
     let is_planned = left_out.iter().any(|task| task.kind == up_to);
-    let is_instead = |task: &&TaskSpec| !is_planned && or_else == Some(&task.kind[..]);
-    let task = left_out.iter().find(is_ready).or_else(|| left_out.iter().find(is_instead)).ok_or_else(absent);
+    let instead = || or_else.iter().find_map(|kind| left_out.iter().find(|task| task.kind == *kind));
+    let task = left_out.iter().find(is_ready);
+    let task = task.or_else(|| instead().filter(|_| !is_planned)).ok_or_else(absent);
     let inputs = run.resolved(task.map_err(EvaluationError::Prepare)?);
     made(&run.context(&inputs), &run)
 }

@@ -145,7 +145,7 @@ fn world_is_made_anew_up_to_the_task_that_is_named() {
     let (kinds, progress) = (BakeKinds::new(), Progress::new());
     let made = |run: &[&str], up_to: &str| {
         let plan = |scene| first_tasks(scene, &settings);
-        let first = FirstTasks { kinds: &kinds, plan, run, up_to, or_else: None };
+        let first = FirstTasks { kinds: &kinds, plan, run, up_to, or_else: &[] };
         made_anew(first, FURNACE.to_vec(), &progress, |context, run| {
             let transport = run.output(tasks::TRANSPORT.name, "index");
             Ok((context.inputs.iter().map(|input| input.name.clone()).collect::<Vec<_>>(), transport))

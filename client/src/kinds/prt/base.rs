@@ -6,7 +6,7 @@ use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::prt::PATCHES;
 use lightkiln_proto::manifest::{ChunkRef, DIRECTORY, Manifest, OVERVIEW};
 use lightkiln_proto::relight::PatchTable;
-use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels};
+use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels, walked_blocks};
 
 use super::joined;
 use super::memory::{base_memory, voxel_memory};
@@ -23,8 +23,10 @@ pub(super) struct Base {
     voxels: Vec<VoxelPart>,
 }
 
-/// Chunks of voxels that come before clusters: that of the coarser levels.
-const VOXELS_FIRST: usize = 1;
+/// Chunks of voxels that come before clusters: that of the coarser levels, or all where they light receivers.
+fn voxels_first(manifest: &Manifest) -> usize {
+    if walked_blocks(manifest).is_empty() { 1 } else { usize::MAX }
+}
 
 impl Base {
     /// Fetches them.
@@ -62,15 +64,15 @@ impl Base {
     }
 
     /// Lets the finer voxels go.
-    pub(super) fn let_go(&mut self) {
-        self.voxels.truncate(VOXELS_FIRST);
+    pub(super) fn let_go(&mut self, manifest: &Manifest) {
+        self.voxels.truncate(voxels_first(manifest));
     }
 
     /// Chunks of the finer voxels that have come, and that have not.
     pub(super) fn more<'a>(&self, manifest: &'a Manifest) -> [&'a [ChunkRef]; 2] {
         let all = manifest.chunks(VOXELS);
         let (come, left) = all.split_at(self.voxels.len().min(all.len()));
-        [come.get(VOXELS_FIRST..).unwrap_or_default(), left]
+        [come.get(voxels_first(manifest)..).unwrap_or_default(), left]
     }
 
     /// Elements with the patches of the light that is there.
@@ -91,9 +93,14 @@ impl Base {
     }
 }
 
+/// Bytes of what comes after clusters.
+pub(super) fn bytes_last(manifest: &Manifest) -> u64 {
+    manifest.bytes_of(VOXELS) - first_voxels(manifest).iter().map(|chunk| chunk.bytes).sum::<u64>()
+}
+
 fn first_voxels(manifest: &Manifest) -> &[ChunkRef] {
     let all = manifest.chunks(VOXELS);
-    &all[..all.len().min(VOXELS_FIRST)]
+    &all[..all.len().min(voxels_first(manifest))]
 }
 
 #[cfg(test)]
@@ -141,10 +148,16 @@ mod tests {
         streamed.refine(&view, Budget::NONE).unwrap();
         let there = streamed.streamed();
         assert!(there.is_whole() && there.bytes == with.bytes_all, "{there:?}");
-        let memory = there.memory_least - 1;
+        // They go before clusters do.
+        let memory = there.memory - 1;
         streamed.refine(&view, Budget { memory, ..Budget::NONE }).unwrap();
         let less = streamed.streamed();
-        assert!(less.memory <= memory && less.rest == 1, "{less:?}");
+        assert!(less.memory <= memory && less.rest == 1 && less.whole == less.clusters_all, "{less:?}");
+        assert_eq!(less.memory_least, with.memory);
+        // A budget of what comes first is one to begin with.
+        let least = StreamedBake::begin(&source, &kinds::all(), Budget::of_bytes(with.bytes)).unwrap();
+        assert_eq!(least.streamed().bytes, with.bytes);
+        assert!(StreamedBake::begin(&source, &kinds::all(), Budget::of_bytes(with.bytes - 1)).is_err());
         streamed.refine(&view, Budget::NONE).unwrap();
         assert!(draw(&streamed.bake) == draw(&whole));
     }

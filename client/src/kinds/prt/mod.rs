@@ -11,7 +11,9 @@ use lightkiln_proto::content::{ClusterTransport, PatchSet};
 use lightkiln_proto::kinds::{Kind, prt};
 use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{Inconsistent, NO_PATCH, PatchTable};
-use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels, walked_without_factors};
+use lightkiln_proto::voxels::{
+    LitByWalks, VOXELS, VoxelPart, VoxelTable, decode_voxels, light_of_walks, walked_blocks,
+};
 
 use crate::bake::{ClientKind, Edited, Light, LightStream, QuickBake};
 use crate::error::{ClientError, Result};
@@ -60,6 +62,10 @@ impl ClientKind for Prt {
         edit::edited(before, after)
     }
 
+    fn bytes_last(&self, manifest: &Manifest) -> u64 {
+        base::bytes_last(manifest)
+    }
+
     fn stream(&self, source: &Source, manifest: &Manifest) -> Result<Box<dyn LightStream>> {
         Ok(Box::new(PrtStream::begin(source, manifest)?))
     }
@@ -74,14 +80,14 @@ pub fn load(source: &Source, scene: &LoadedScene) -> Result<LightmapLight<PatchT
     };
     let mut light = assemble(scene, &contents)?;
     light.voxels = voxels(source, manifest, &light.transport.columns)?;
-    walk(&mut light)?;
+    walk(&mut light, LitByWalks::Of(&walked_blocks(manifest)))?;
     Ok(light)
 }
 
-/// Gives receivers without factors the light of walks, where there are voxels.
-pub fn walk(light: &mut LightmapLight<PatchTable>) -> Result<()> {
+/// Gives some receivers the light of walks, where there are voxels.
+pub fn walk(light: &mut LightmapLight<PatchTable>, of: LitByWalks<'_>) -> Result<()> {
     let Some(elements) = &light.voxels else { return Ok(()) };
-    light.transport.walked = walked_without_factors(elements, &light.transport, &Threads)
+    light.transport.walked = light_of_walks(elements, &light.transport, of, &Threads)
         .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Voxels alone: receivers and patches whose light is that of walks, which are taken when the bake is loaded.
 
 use lightkiln_proto::kinds::{self, Kind};
-use lightkiln_proto::voxels::VOXELS;
+use lightkiln_proto::voxels::{LitByWalks, VOXELS};
 
 use super::prt;
 use crate::bake::{ClientKind, Light};
@@ -19,11 +19,12 @@ impl ClientKind for Voxels {
     }
 
     fn load(&self, source: &Source, scene: &LoadedScene) -> Result<Box<dyn Light>> {
-        let light = prt::load(source, scene)?;
+        let mut light = prt::load(source, scene)?;
         if light.voxels.is_none() {
             let problem = "are missing, and all light of the bake comes from them".to_owned();
             return Err(ClientError::inconsistent(VOXELS, problem));
         }
+        prt::walk(&mut light, LitByWalks::All)?;
         Ok(Box::new(light))
     }
 }

@@ -1,10 +1,12 @@
 //! Light of walks beside the walks themselves, and bundles that lack what it needs.
 
+use std::collections::HashSet;
+
 use glam::{Vec3, Vec4};
 use lightkiln_proto::kinds::voxels::NAME;
 use lightkiln_proto::relight::{Columns as _, PatchTable, Transport};
 use lightkiln_proto::voxels::{
-    Bundle, IRRADIANCE_WALKS, Start, VoxelTotals, WalkLight, irradiance, walk_identity, walked,
+    Bundle, IRRADIANCE_WALKS, Start, VoxelTotals, WalkLight, WalkedBlocks, irradiance, walk_identity, walked,
 };
 
 use super::*;
@@ -55,25 +57,29 @@ fn some_receivers_alone_are_walked() {
 }
 
 #[test]
-fn receivers_of_clusters_without_factors_are_walked_and_no_others() {
-    let mut contents = prt_contents();
-    (contents.clusters[1].factors, contents.clusters[1].near) = Default::default();
+fn receivers_of_blocks_that_walks_light_are_walked_and_no_others() {
+    let contents = prt_contents();
     let (_, with_elements) = voxel_light();
     let (_, mut light) = prt_light(&contents);
     light.voxels = with_elements.voxels;
-    prt::walk(&mut light).unwrap();
-    let first = contents.clusters[0].receivers.len();
-    let of_second = first..first + contents.clusters[1].receivers.len();
+    let wanted = contents.clusters[1].receivers.blocks[0];
+    let blocks = WalkedBlocks::new(vec![wanted, 17]);
+    assert_eq!(serde_json::to_string(&blocks).unwrap(), format!(r#"["0000000000000011","{wanted:016x}"]"#));
+    prt::walk(&mut light, LitByWalks::Of(&blocks)).unwrap();
+    let slots = &light.transport.slots;
+    let block = slots.block_index(wanted).unwrap();
+    let of_block: HashSet<usize> =
+        slots.receivers().filter(|(_, of, _)| *of == block).map(|(slot, ..)| slot as usize).collect();
     let lambda = vec![Vec4::ONE; light.transport.columns.lambda_count()];
     let mut found = vec![Vec4::ZERO; light.transport.receivers.len()];
     light.transport.walked.gather(&Threads, &lambda, &mut found);
     for (slot, found) in found.iter().enumerate() {
         // Under a light that is 1 everywhere, but for walks that end in the dark.
-        assert_eq!(found.x > 1.0, of_second.contains(&slot), "receiver {slot}: {found}");
+        assert_eq!(found.x > 1.0, of_block.contains(&slot), "receiver {slot}: {found}");
     }
     // Without elements nothing is walked.
     let (_, mut light) = prt_light(&contents);
-    prt::walk(&mut light).unwrap();
+    prt::walk(&mut light, LitByWalks::Of(&blocks)).unwrap();
     assert!(light.transport.walked.is_empty());
 }
 

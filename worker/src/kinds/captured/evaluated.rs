@@ -36,7 +36,7 @@ pub fn evaluated(
 ) -> Result<CapturedBake, EvaluationError> {
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
-    let first = FirstTasks { kinds, plan, run: &[], up_to: tasks::PLAN.name, or_else: None };
+    let first = FirstTasks { kinds, plan, run: &[], up_to: tasks::PLAN.name, or_else: &[] };
     made_anew(first, scene, progress, |context, _| {
         let geometry = Geometry::of(context).map_err(EvaluationError::Prepare)?;
         let lighting = lighting(&geometry).map_err(EvaluationError::Prepare)?;

@@ -96,11 +96,11 @@ pub fn parts(
 }
 
 /// Makes the bake's world anew and decodes its chunks; those of tetrahedra have that `role`, if it has some. `first` are the scene, its
-/// first tasks, the task kind that plans the rest, and that of surfaces which probes light.
+/// first tasks, the task kind that plans the rest, and those of surfaces which probes or walks light.
 pub fn evaluated(
     kinds: &BakeKinds,
     manifest: &Manifest,
-    first: (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str, Option<&str>),
+    first: (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str, &[&str]),
     relightable: &Settings,
     role: Option<&'static str>,
     (bytes, progress): (ChunkBytes, &Progress),

@@ -9,6 +9,7 @@ mod survey;
 
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::grid::{NAME, Settings, first_tasks, tasks};
+use lightkiln_proto::kinds::voxels::tasks::RECEIVERS;
 use lightkiln_proto::manifest::Manifest;
 use serde_json::json;
 
@@ -55,7 +56,12 @@ impl BakeKind for Grid {
         progress: &Progress,
     ) -> Result<Box<dyn Evaluated>, EvaluationError> {
         let settings: Settings = manifest.settings()?;
-        let first = (scene, |scene| first_tasks(scene, &settings), tasks::PLAN.name, Some(tasks::LIT.name));
+        let first = (
+            scene,
+            |scene| first_tasks(scene, &settings),
+            tasks::PLAN.name,
+            &[tasks::LIT.name, RECEIVERS.name][..],
+        );
         Ok(Box::new(field::evaluated(
             kinds,
             manifest,

@@ -6,11 +6,12 @@ use lightkiln_proto::manifest::{CLUSTERS, ChunkRef, ClusterRow, OVERVIEW};
 use lightkiln_proto::voxels::VOXELS;
 use serde_json::Value;
 
-use super::plan::PATCH_SET;
+use super::plan::{PATCH_SET, lit_by_walks};
 use super::{BakeParams, overview};
 use crate::assemble::{KindPart, assembled, chunk_refs};
 use crate::factors::CellIndex;
 use crate::kinds::voxels;
+use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::task::{Context, TaskError, TaskOutput, params};
 
@@ -33,7 +34,10 @@ impl Assembled {
         let index = CellIndex::of_inputs(context)?;
         let report = index.report(settings.patches.rank_error);
         let patches = PatchTree::of(context)?.patches.len() as u64;
-        let voxels = voxels::totals(context)?;
+        let mut voxels = voxels::totals(context)?;
+        if let Some(voxels) = &mut voxels {
+            voxels.walked = lit_by_walks(&*World::of(context)?, settings);
+        }
         let body = Body { totals: index.totals(), patches, voxels };
         let overview = chunk_refs(context, &format!("{OVERVIEW}/{}", overview::OUTPUT));
         let patches = chunk_refs(context, PATCH_SET);

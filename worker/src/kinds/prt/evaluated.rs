@@ -4,9 +4,12 @@ use lightkiln_proto::chunk::decode_patches;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::kinds::prt::{PATCHES, Settings, first_tasks, tasks};
+use lightkiln_proto::kinds::voxels::tasks::RECEIVERS;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::PatchTable;
-use lightkiln_proto::voxels::{VOXELS, VoxelPart, VoxelTable, decode_voxels, walked_without_factors};
+use lightkiln_proto::voxels::{
+    LitByWalks, VOXELS, VoxelPart, VoxelTable, decode_voxels, light_of_walks, walked_blocks,
+};
 
 use super::plan::PATCH_SET;
 use super::{PatchTransport, TracedSettings};
@@ -27,7 +30,14 @@ pub fn evaluated(
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
     let traced = TracedSettings::from(&settings);
-    evaluated_of(kinds, manifest, (scene, plan, tasks::PLAN.name, None), traced, bytes, progress)
+    evaluated_of(
+        kinds,
+        manifest,
+        (scene, plan, tasks::PLAN.name, &[RECEIVERS.name][..]),
+        traced,
+        bytes,
+        progress,
+    )
 }
 
 /// As [`evaluated`], of a scene whose first tasks `plan` gives, and of which the task kind `planning` plans the relightable bake; `or_else`
@@ -35,7 +45,7 @@ pub fn evaluated(
 pub fn evaluated_of(
     kinds: &BakeKinds,
     manifest: &Manifest,
-    (scene, plan, planning, or_else): (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str, Option<&str>),
+    (scene, plan, planning, or_else): (Vec<u8>, impl FnOnce(Digest) -> Vec<TaskSpec>, &str, &[&str]),
     settings: TracedSettings,
     bytes: ChunkBytes,
     progress: &Progress,
@@ -47,6 +57,7 @@ pub fn evaluated_of(
             return Err(EvaluationError::OtherStage { what: "other surface patches".into() });
         }
         let patches = decoded(&chunks[0], bytes, decode_patches)?;
+        let is_bare = settings.is_bare;
         let transport = PatchTransport::of(context, settings).map_err(EvaluationError::Prepare)?;
         let columns = |slots: &_| PatchTable::new(&patches, slots);
         let mut bake = FactoredBake::new(manifest, bytes, context, Box::new(transport), columns)?;
@@ -56,7 +67,9 @@ pub fn evaluated_of(
             return Ok(bake);
         }
         let voxels = VoxelTable::of_bake(parts.iter(), bake.columns())?;
-        bake.walk(|transport| walked_without_factors(&voxels, transport, &Threads))?;
+        let blocks = walked_blocks(manifest);
+        let lit = if is_bare { LitByWalks::All } else { LitByWalks::Of(&blocks) };
+        bake.walk(|transport| light_of_walks(&voxels, transport, lit, &Threads))?;
         Ok(bake.walkable(Box::new(|bake| Box::new(WalkedBake::new(bake, voxels)))))
     })
 }

@@ -8,6 +8,7 @@ use lightkiln_proto::kinds::prt::{Body, NAME, PATCHES, Settings, tasks};
 use lightkiln_proto::kinds::voxels::{VoxelPresence, walked_part};
 use lightkiln_proto::kinds::{OUTLINE_OUTPUT, TaskKind};
 use lightkiln_proto::manifest::{ChunkRef, OVERVIEW};
+use lightkiln_proto::voxels::WalkedBlocks;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
@@ -79,25 +80,35 @@ pub fn planned(context: &Context, settings: &Settings, receivers: &[u32]) -> Res
     let traced = TracedSettings::from(&bare).bare();
     let task = lightkiln_proto::kinds::voxels::tasks::RECEIVERS;
     let walked = Rays { task, label: "cluster walked", traced, settings: &bare, receivers: walked };
-    planned_of(context, settings, &[own, walked])
+    let all: Vec<Rays<'_>> =
+        [own].into_iter().chain((!walked.receivers.is_empty()).then_some(walked)).collect();
+    planned_of(context, settings, &all)
 }
 
-/// Of some receivers those whose light is that of their own rays, and those that have it from walks.
-fn by_light(world: &World, settings: &Settings, receivers: &[u32]) -> [Vec<u32>; 2] {
+/// By block whether its receivers have the light of walks.
+fn is_walked(world: &World, settings: &Settings) -> Vec<bool> {
     let VoxelPresence { walk_lit_m, .. } = settings.has_voxels;
     let has_voxels = settings.has_voxels.is_on();
     let is_walked = |instance: &MeshInstance| {
         let is_small = || walk_lit_m > 0.0 && instance.size_m() <= walk_lit_m;
         has_voxels && instance.lit_by.map_or_else(is_small, |by| by == LitBy::Walks)
     };
-    let is_walked: Vec<bool> = world.geometry.scene.instances.iter().map(is_walked).collect();
-    let lightmap = &world.lightmap;
-    let of = |receiver: &u32| {
-        let block = lightmap.receivers[*receiver as usize].block;
-        is_walked[lightmap.blocks[block as usize].instance as usize]
-    };
-    let (walked, own) = receivers.iter().partition(|receiver| of(receiver));
+    let by_instance: Vec<bool> = world.geometry.scene.instances.iter().map(is_walked).collect();
+    world.lightmap.blocks.iter().map(|block| by_instance[block.instance as usize]).collect()
+}
+
+/// Of some receivers those whose light is that of their own rays, and those that have it from walks.
+fn by_light(world: &World, settings: &Settings, receivers: &[u32]) -> [Vec<u32>; 2] {
+    let is_walked = is_walked(world, settings);
+    let of = |receiver: u32| is_walked[world.lightmap.receivers[receiver as usize].block as usize];
+    let (walked, own) = receivers.iter().partition(|receiver| of(**receiver));
     [own, walked]
+}
+
+/// Blocks whose receivers have the light of walks.
+pub fn lit_by_walks(world: &World, settings: &Settings) -> WalkedBlocks {
+    let blocks = world.lightmap.blocks.iter().zip(is_walked(world, settings));
+    WalkedBlocks::new(blocks.filter(|(_, is_walked)| *is_walked).map(|(block, _)| block.key).collect())
 }
 
 /// As [`planned`], with rays by other tasks.

@@ -23,7 +23,7 @@ pub fn evaluated(
     let settings: Settings = manifest.settings()?;
     let plan = |scene| first_tasks(scene, &settings);
     let first =
-        FirstTasks { kinds, plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name, or_else: None };
+        FirstTasks { kinds, plan, run: &[tasks::PLAN.name], up_to: tasks::TRANSPORT.name, or_else: &[] };
     made_anew(first, scene, progress, |context, _| {
         let decode = |chunk: &ChunkRef| decoded(chunk, bytes, decode_probe_batch);
         let batches: Vec<ProbeBatch> =

@@ -44,7 +44,7 @@ impl BakeKind for Voxels {
     ) -> Result<Box<dyn Evaluated>, EvaluationError> {
         let settings: Settings = manifest.settings()?;
         let plan = |scene| tasks::first_tasks(scene, &settings);
-        let first = (scene, plan, tasks::PLAN.name, Some(tasks::RECEIVERS.name));
+        let first = (scene, plan, tasks::PLAN.name, &[tasks::RECEIVERS.name][..]);
         Ok(Box::new(prt::evaluated_of(kinds, manifest, first, traced(&settings), bytes, progress)?))
     }
 }

@@ -25,7 +25,7 @@ const TOTALS: &str = "totals";
 /// Triangles whose touches are held at a time. More → more threads are kept busy, more memory.
 const TRIANGLES_AT_ONCE: usize = 1 << 12;
 /// Voxels that their bounds span at most, but for one triangle: large ones are held by fewer.
-const SPANNED_AT_ONCE: f64 = 4e6;
+const SPANNED_AT_ONCE: f64 = 5e5;
 
 /// Runs `voxels.region` or `voxels.top`, by its parameters: inputs are those of `prt.transport` without cells; outputs `elements`, `totals`,
 /// `record`.

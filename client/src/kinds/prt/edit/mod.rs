@@ -29,7 +29,7 @@ use lightkiln_proto::kinds::prt::PATCHES;
 use lightkiln_proto::kinds::voxels;
 use lightkiln_proto::manifest::{CLUSTERS, Manifest, Material, TEXTURES, TextureUse};
 use lightkiln_proto::relight::{Ends, Inconsistent, PatchTable, WalkedTable};
-use lightkiln_proto::voxels::{IRRADIANCE_WALKS, VOXELS, WALK_WEIGHT, walked};
+use lightkiln_proto::voxels::{IRRADIANCE_WALKS, VOXELS, WALK_WEIGHT, walked, walked_blocks};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -163,6 +163,8 @@ struct Comparison<'a> {
     parts: Vec<(Parts, IsOwn)>,
     receivers: HashMap<Name, Receiver>,
     blocks: HashSet<BlockKey>,
+    /// Blocks whose light before is that of walks.
+    walked: HashSet<BlockKey>,
     /// Materials have other colours, which hits on surfaces without texels keep.
     has_other_colours: bool,
     /// Columns are compared, not walks.
@@ -183,6 +185,7 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
         changes: Changes::between(&was.scene, &is.scene),
         receivers: receivers(&is.clusters),
         blocks: is.scene.lightmap.blocks.iter().map(|block| block.key).collect(),
+        walked: walked_blocks(&was.scene.manifest).keys().collect(),
         has_other_colours: colours(&was.scene.manifest) != colours(&is.scene.manifest),
         by_columns: ends_before.is_none(),
         texel_m: is.scene.manifest.layout()?.texel_m,
@@ -200,8 +203,6 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
     contents.extend(is.clusters.iter().filter_map(|cluster| only(cluster, |name| !kept.contains(&name))));
     let mut light =
         LightmapLight::assemble(&is.scene, &contents, |slots| PatchTable::new(&is.patches, slots))?;
-    let bare = was.clusters.iter().filter(|cluster| cluster.factors.rank == 0);
-    let bare: HashSet<Name> = bare.flat_map(names).collect();
     let (mut all, mut provisional) = (Vec::new(), Vec::new());
     let slots = contents
         .iter()
@@ -218,7 +219,7 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
             }
         };
         let changed = |ends: &Ends| ends.added.len().max(ends.taken.len()) as f32 / IRRADIANCE_WALKS as f32;
-        provisional.push(match (&ends_before, bare.contains(&name)) {
+        provisional.push(match (&ends_before, comparison.walked.contains(&name.0)) {
             _ if cluster < read.len() => changed(&ends),
             // The bake's own light is that of walks.
             (Some(before), true) => {
@@ -265,8 +266,7 @@ fn receivers(clusters: &[ClusterTransport]) -> HashMap<Name, Receiver> {
 impl Comparison<'_> {
     /// The part of a cluster of before that is right for the edited scene, with colours and lamps as they are now; `None` if there is none.
     fn kept(&self, cluster: &ClusterTransport) -> Option<Kept> {
-        let has_walks = !self.by_columns && cluster.factors.rank == 0;
-        if has_walks || !cluster.near.blocks.iter().all(|block| self.blocks.contains(block)) {
+        if !cluster.near.blocks.iter().all(|block| self.blocks.contains(block)) {
             return None;
         }
         if self.by_columns && self.is_parted(cluster) {
@@ -282,7 +282,8 @@ impl Comparison<'_> {
         let same: HashSet<Name> = names(cluster)
             .zip(places.zip(own))
             .filter(|(name, ((at, normal), own))| {
-                !own && self.is_same(*name, (Vec3::from(**at), Vec3::from(**normal)), reach_m)
+                !own && !self.walked.contains(&name.0)
+                    && self.is_same(*name, (Vec3::from(**at), Vec3::from(**normal)), reach_m)
             })
             .map(|(name, _)| name)
             .collect();

@@ -16,6 +16,9 @@ const SHARE_MIN: f32 = 0.875;
 /// The same of a patch that has no parts.
 const LEAF_SHARE_MIN: f32 = 0.5;
 
+/// Parts of a patch at most: each is a column.
+const PARTS_MAX: usize = 32;
+
 /// Patches of a bake with their parts.
 struct Tree<'a> {
     set: &'a PatchSet,
@@ -41,6 +44,12 @@ pub(super) fn parts_of(before: &PatchSet, set: &PatchSet, columns: &PatchTable) 
         left.sort_unstable();
         let mut found = Vec::new();
         tree.enter(None, &left, &mut found);
+        if found.len() > PARTS_MAX {
+            // The largest stand for all.
+            found.sort_by(|a: &(u32, f64), b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+            found.truncate(PARTS_MAX);
+            found.sort_unstable_by_key(|(patch, _)| *patch);
+        }
         let all: f64 = found.iter().map(|(_, area)| area).sum();
         let share = |area: f64| if all > 0.0 { area / all } else { 1.0 / found.len() as f64 };
         found.iter().map(|(patch, area)| (*patch, share(*area) as f32)).collect()

@@ -9,6 +9,7 @@ use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::prt::PATCHES;
 use lightkiln_proto::manifest::{CLUSTERS, ChunkRef, Manifest};
 use lightkiln_proto::relight::{Limit, PatchTable, stand_in};
+use lightkiln_proto::voxels::{LitByWalks, walked_blocks};
 use rayon::prelude::*;
 
 use super::base::Base;
@@ -91,12 +92,12 @@ impl PrtStream {
         let memory = |(index, bytes): (&usize, &Vec<u8>)| rung_memory(of(*index), bytes.len() as u64);
         let memory_of_all =
             (0..manifest.clusters.len()).map(|index| rung_memory(of(index), of(index).chunk.bytes));
-        let [come, left] = self.base.more(manifest);
+        let [_, left] = self.base.more(manifest);
         let bytes_of = |chunks: &[ChunkRef]| chunks.iter().map(|chunk| chunk.bytes).sum::<u64>();
         let memory_of_more =
             |chunks: &[ChunkRef]| chunks.iter().map(|chunk| voxel_memory(chunk.bytes)).sum::<u64>();
         let there = self.least_bytes(manifest);
-        let memory_there = self.base_memory + memory_of_more(come);
+        let memory_there = self.least_memory(manifest);
         self.streamed = Streamed {
             bytes: there + self.clusters.values().map(|bytes| bytes.len() as u64).sum::<u64>(),
             bytes_all: there + bytes_of(left) + manifest.bytes_of(CLUSTERS),
@@ -107,7 +108,7 @@ impl PrtStream {
             lost: self.lost.len(),
             memory: memory_there + self.clusters.iter().map(memory).sum::<u64>(),
             memory_all: memory_there + memory_of_more(left) + memory_of_all.sum::<u64>(),
-            memory_least: memory_there,
+            memory_least: self.base_memory,
             baked: self.streamed.baked,
             turns: self.streamed.turns,
         };
@@ -122,7 +123,7 @@ impl LightStream for PrtStream {
     fn light(&self, scene: &LoadedScene, manifest: &Manifest) -> Result<Box<dyn Light>> {
         let mut light = self.assembled(scene, manifest)?;
         light.voxels = self.base.voxels(&light.transport.columns)?;
-        super::walk(&mut light)?;
+        super::walk(&mut light, LitByWalks::Of(&walked_blocks(manifest)))?;
         Ok(Box::new(light))
     }
 
@@ -163,8 +164,10 @@ impl LightStream for PrtStream {
         limit: Limit,
     ) -> Result<()> {
         let mut budget = budget;
-        if budget.memory < self.streamed.memory_least || budget.bytes < self.least_bytes(of.1) {
-            self.base.let_go();
+        // Finer voxels go before clusters do.
+        let [come, _] = self.base.more(of.1);
+        if !come.is_empty() && (budget.memory < self.streamed.memory || budget.bytes < self.streamed.bytes) {
+            self.base.let_go(of.1);
             self.count(of.1);
             self.streamed.turns += 1;
         }
@@ -195,6 +198,12 @@ impl PrtStream {
     fn least_bytes(&self, manifest: &Manifest) -> u64 {
         let [come, _] = self.base.more(manifest);
         self.base_bytes + come.iter().map(|chunk| chunk.bytes).sum::<u64>()
+    }
+
+    /// Memory of it.
+    fn least_memory(&self, manifest: &Manifest) -> u64 {
+        let [come, _] = self.base.more(manifest);
+        self.base_memory + come.iter().map(|chunk| voxel_memory(chunk.bytes)).sum::<u64>()
     }
 
     /// Fetches what comes after clusters, as far as there is room.
@@ -300,7 +309,7 @@ impl PrtStream {
             (0..manifest.clusters.len()).map(|index| self.candidate(layers_of(manifest, index))).collect();
         let budget = Budget {
             bytes: budget.bytes.saturating_sub(self.least_bytes(manifest)),
-            memory: budget.memory.saturating_sub(self.streamed.memory_least),
+            memory: budget.memory.saturating_sub(self.least_memory(manifest)),
             ..budget
         };
         let all = |of: &Candidate| of.rung(of.rungs.len());
