@@ -158,15 +158,16 @@ fn all_of(
     let total: f32 = fragments.iter().map(|fragment| fragment.share).sum();
     let of = |fragment: &&Fragment| Vec3::from(surface_of(geometry, &fragment.hit).albedo) * fragment.share;
     let albedo = (fragments.iter().map(of).sum::<Vec3>() / total).max(Vec3::splat(ALBEDO_MIN));
-    let sides: Vec<Side> = fragments
+    let sides: Vec<Vec<Side>> = fragments
         .iter()
-        .flat_map(|fragment| {
+        .map(|fragment| {
             let is_double = geometry.material(fragment.hit.triangle).double_sided;
             let backs = if is_double { 2 } else { 1 };
-            [true, false].into_iter().take(backs).map(|front| {
+            let side = |front| {
                 let hit = Hit { front, ..fragment.hit };
                 Side { normal: geometry.side_normal(&hit), radiance: light(&hit), share: fragment.share }
-            })
+            };
+            [true, false].into_iter().take(backs).map(side).collect()
         })
         .collect();
     let mut row = Corner { opacity: Vec3::ONE, weight: 1.0, ..Corner::default() };
@@ -178,9 +179,8 @@ fn all_of(
             }
         }
         Model::Lobes => {
-            let all: f32 = sides.iter().map(|side| side.share).sum();
             let mean = |of: &dyn Fn(&Side) -> Vec3| {
-                sides.iter().map(|side| of(side) * side.share).sum::<Vec3>() / all
+                sides.iter().map(|sides| of(brighter(sides)) * sides[0].share).sum::<Vec3>() / total
             };
             row.values[lobe::ALBEDO] = albedo;
             row.values[lobe::NORMAL] = mean(&|side| side.normal);
@@ -192,8 +192,14 @@ fn all_of(
     (row, albedo)
 }
 
+/// The side of a fragment that lobes have: those of both would have no mean normal.
+fn brighter(sides: &[Side]) -> &Side {
+    let [front, back] = sides else { return &sides[0] };
+    if back.radiance.element_sum() > front.radiance.element_sum() { back } else { front }
+}
+
 /// Radiance seen from an end of an axis: the mean over sides by their projected areas; black where only backs are seen.
-fn seen_along(sides: &[Side], axis: usize, end: f32) -> Vec3 {
+fn seen_along(sides: &[Vec<Side>], axis: usize, end: f32) -> Vec3 {
     let weight = |side: &Side| {
         let cosine = end * side.normal[axis];
         let facing = if cosine > FACING_MIN {
@@ -205,7 +211,8 @@ fn seen_along(sides: &[Side], axis: usize, end: f32) -> Vec3 {
         };
         facing * side.share
     };
-    let total: f32 = sides.iter().map(weight).sum();
-    let sum: Vec3 = sides.iter().map(|side| side.radiance * weight(side)).sum();
+    let all = || sides.iter().flatten();
+    let total: f32 = all().map(weight).sum();
+    let sum: Vec3 = all().map(|side| side.radiance * weight(side)).sum();
     if total > 0.0 { sum / total } else { Vec3::ZERO }
 }
