@@ -1,6 +1,7 @@
 //! Measured studies: a setting is varied, each bake is held against the path tracer, and a table and a plot say what the
 //! setting is worth. Results and the defaults that follow from them are kept in `tests/studies`.
 
+mod causes;
 pub mod detail;
 pub mod first_light;
 mod list;

@@ -21,6 +21,7 @@ use lightkiln_worker::reference::luminance;
 use lightkiln_worker::scene::{self, Limits};
 use rayon::prelude::*;
 
+use super::causes;
 use crate::harness::{Held, Recipe};
 
 /// Half angles of cones, in degrees.
@@ -133,6 +134,7 @@ pub fn measured(path: &Path, settings: serde_json::Value) -> Result<String> {
         }
     }
     page += &occlusion(&held, &table, &sites)?;
+    page += &causes::rows(&held, &table, &sites);
     page += &speed(&held, &table, &sites)?;
     Ok(page)
 }
