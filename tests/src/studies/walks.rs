@@ -164,6 +164,22 @@ fn sizes(held: &Held, table: &VoxelTable) -> Result<String> {
     ))
 }
 
+/// Luminance of the mean radiance along a bundle's directions in a cone of an axis and a half angle, of those above a face; each is found from its
+/// direction and the tangent of its own half angle.
+pub(super) fn mean_in_cone(
+    bundle: &Bundle,
+    (axis, half_angle_rad): (Vec3, f32),
+    face_normal: Vec3,
+    of: &dyn Fn(Vec3, f32) -> Vec3,
+) -> f64 {
+    let along = |walk: u32| bundle.uniform(walk, axis, half_angle_rad);
+    let above = (0..bundle.walks()).map(along).filter(|cone| cone.direction.dot(face_normal) > 0.0);
+    let (sum, met) = above.fold((DVec3::ZERO, 0.0), |(sum, met), cone| {
+        (sum + of(cone.direction, cone.tangent).as_dvec3(), met + 1.0)
+    });
+    luminance(sum / f64::max(met, 1.0))
+}
+
 /// Mean radiance in cones by walks, and by rays along the walks' directions, both against that of many rays.
 fn cones(lights: &Lights, sites: &[Site], half_angle_rad: f32) -> [Errors; 2] {
     let of_site = |(number, site): (usize, &Site)| {
@@ -172,13 +188,7 @@ fn cones(lights: &Lights, sites: &[Site], half_angle_rad: f32) -> [Errors; 2] {
             let axis = axes.cosine(cone, site.face_normal).direction;
             let identity = number as u32 * CONES + cone;
             let mean = |count: u32, of: &dyn Fn(Vec3, f32) -> Vec3| {
-                let bundle = Bundle::new(count, identity);
-                let along = |walk: u32| bundle.uniform(walk, axis, half_angle_rad);
-                let above = (0..count).map(along).filter(|cone| cone.direction.dot(site.face_normal) > 0.0);
-                let (sum, met) = above.fold((DVec3::ZERO, 0.0), |(sum, met), cone| {
-                    (sum + of(cone.direction, cone.tangent).as_dvec3(), met + 1.0)
-                });
-                luminance(sum / f64::max(met, 1.0))
+                mean_in_cone(&Bundle::new(count, identity), (axis, half_angle_rad), site.face_normal, of)
             };
             let truth = mean(CONE_RAYS, &|direction, _| lights.by_ray(site, direction));
             let rays = mean(CONE_WALKS, &|direction, _| lights.by_ray(site, direction));

@@ -97,7 +97,7 @@ fn moved_chair_is_shown_before_its_bake_as_it_is_after_it() {
     );
 }
 
-/// What is gone leaves patches that it was part of, and makes others one.
+/// Patches lose the parts that are gone, and others become one.
 #[test]
 fn box_that_is_gone_leaves_the_light_of_what_stood_beside_it() {
     let recipe = with_texels("prt", 0.1875, 128).with("voxels", "on");

@@ -21,11 +21,8 @@ pub(super) struct Base {
     pub(super) overview: Vec<ClusterTransport>,
     /// The first so many parts, the coarser levels first.
     voxels: Vec<VoxelPart>,
-}
-
-/// Chunks of voxels that come before clusters: that of the coarser levels, or all where they light receivers.
-fn voxels_first(manifest: &Manifest) -> usize {
-    if walked_blocks(manifest).is_empty() { 1 } else { usize::MAX }
+    /// Number of those that come before clusters.
+    voxels_first: usize,
 }
 
 impl Base {
@@ -37,8 +34,9 @@ impl Base {
             let problem = "has near hits, which clusters of an overview have not";
             return Err(ClientError::inconsistent(OVERVIEW, problem));
         }
-        let mut base = Self { overview, voxels: Vec::new() };
-        base.fetch_voxels(source, first_voxels(manifest))?;
+        let first = first_voxels(manifest);
+        let mut base = Self { overview, voxels: Vec::new(), voxels_first: first.len() };
+        base.fetch_voxels(source, first)?;
         Ok(base)
     }
 
@@ -49,30 +47,28 @@ impl Base {
 
     /// Fetches as many of the finer voxels as there is room for; gives the bytes that came.
     pub(super) fn fetch_more(&mut self, source: &Source, manifest: &Manifest, room: Budget) -> Result<u64> {
-        let (mut count, mut bytes, mut memory) = (0, 0, 0);
-        let left = manifest.chunks(VOXELS).get(self.voxels.len()..).unwrap_or_default();
-        for chunk in left {
-            (bytes, memory) = (bytes + chunk.bytes, memory + voxel_memory(chunk.bytes));
+        let [_, left] = self.more(manifest);
+        let mut bytes = 0;
+        let has_room = |(index, chunk): &(usize, &ChunkRef)| {
+            bytes += chunk.bytes;
             // One at least comes in a step.
-            if bytes > room.bytes || memory > room.memory || (count > 0 && bytes > room.step) {
-                break;
-            }
-            count += 1;
-        }
+            bytes <= room.bytes && voxel_memory(bytes) <= room.memory && (*index == 0 || bytes <= room.step)
+        };
+        let count = left.iter().enumerate().take_while(has_room).count();
         self.fetch_voxels(source, &left[..count])?;
-        Ok(left[..count].iter().map(|chunk| chunk.bytes).sum())
+        Ok(bytes_of(&left[..count]))
     }
 
     /// Lets the finer voxels go.
-    pub(super) fn let_go(&mut self, manifest: &Manifest) {
-        self.voxels.truncate(voxels_first(manifest));
+    pub(super) fn let_go(&mut self) {
+        self.voxels.truncate(self.voxels_first);
     }
 
     /// Chunks of the finer voxels that have come, and that have not.
     pub(super) fn more<'a>(&self, manifest: &'a Manifest) -> [&'a [ChunkRef]; 2] {
         let all = manifest.chunks(VOXELS);
         let (come, left) = all.split_at(self.voxels.len().min(all.len()));
-        [come.get(voxels_first(manifest)..).unwrap_or_default(), left]
+        [come.get(self.voxels_first..).unwrap_or_default(), left]
     }
 
     /// Elements with the patches of the light that is there.
@@ -82,25 +78,30 @@ impl Base {
 
     /// Bytes of what comes first.
     pub(super) fn bytes(manifest: &Manifest) -> u64 {
-        let of_voxels = first_voxels(manifest).iter().map(|chunk| chunk.bytes);
-        [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).chain(of_voxels).sum()
+        let of_voxels = bytes_of(first_voxels(manifest));
+        of_voxels + [DIRECTORY, PATCHES, OVERVIEW].iter().map(|role| manifest.bytes_of(role)).sum::<u64>()
     }
 
     /// Memory of it.
     pub(super) fn memory(&self, set: &PatchSet, manifest: &Manifest) -> u64 {
-        let of_voxels = first_voxels(manifest).iter().map(|chunk| voxel_memory(chunk.bytes));
-        base_memory(set, &self.overview) + of_voxels.sum::<u64>()
+        base_memory(set, &self.overview) + voxel_memory(bytes_of(first_voxels(manifest)))
     }
 }
 
 /// Bytes of what comes after clusters.
 pub(super) fn bytes_last(manifest: &Manifest) -> u64 {
-    manifest.bytes_of(VOXELS) - first_voxels(manifest).iter().map(|chunk| chunk.bytes).sum::<u64>()
+    manifest.bytes_of(VOXELS) - bytes_of(first_voxels(manifest))
 }
 
+/// Chunks of voxels that come before clusters: that of the coarser levels, or all where they light receivers.
 fn first_voxels(manifest: &Manifest) -> &[ChunkRef] {
     let all = manifest.chunks(VOXELS);
-    &all[..all.len().min(voxels_first(manifest))]
+    if walked_blocks(manifest).is_empty() { &all[..all.len().min(1)] } else { all }
+}
+
+/// Bytes of some chunks.
+pub(super) fn bytes_of(chunks: &[ChunkRef]) -> u64 {
+    chunks.iter().map(|chunk| chunk.bytes).sum()
 }
 
 #[cfg(test)]

@@ -100,7 +100,7 @@ pub fn rename_columns(factors: &mut TransportFactors, names: impl Fn(u64) -> Vec
     factors.vt = rows.flat_map(row).collect();
     let scale = &factors.steps.scale;
     let of_keys = new.iter().filter(|(old, _)| *old < factors.keys.len());
-    // What is stored are whole numbers of steps.
+    // Stored numbers are whole numbers of steps.
     factors.steps.scale =
         of_keys.map(|(old, factor)| scale.get(*old).copied().unwrap_or(1.0) * factor.abs()).collect();
     factors.keys = renamed.into_iter().flatten().map(|(key, _)| key).collect();

@@ -49,7 +49,7 @@ pub struct Cone {
     pub half_angle_rad: f32,
 }
 
-/// What a cone meets.
+/// Light and opacity along a cone.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Met {
     /// Mean radiance of what stops it, times its share of the cone.
@@ -161,7 +161,7 @@ impl Volume {
     }
 }
 
-/// What diffuse cones tell of a point.
+/// Irradiance and occlusion of a point by diffuse cones.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Diffuse {
     /// Irradiance in W·m⁻².

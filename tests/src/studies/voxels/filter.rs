@@ -147,7 +147,7 @@ pub fn composited(found: &[Corner], weights: &[f32], model: Model) -> Corner {
             for is_up in [false, true] {
                 let mut left = shares[a] * shares[b];
                 for step in 0..side {
-                    // What faces up the axis has the upper end in front.
+                    // Surfaces that face up the axis have the upper end in front.
                     let at = if is_up { side - 1 - step } else { step };
                     let corner = column(at);
                     let stopped = 1.0 - (1.0 - corner.opacity[axis].min(1.0)).powf(weights[at]);

@@ -24,7 +24,9 @@ use super::inject::Lamp;
 use super::pictures::pictures;
 use super::{Kind, Manner};
 use crate::harness::{Held, Recipe};
-use crate::studies::walks::{CONE_RAYS, CONE_WALKS, CONES, HALF_ANGLES_DEG, Lights, OCCLUSION_RAYS, sites};
+use crate::studies::walks::{
+    CONE_RAYS, CONE_WALKS, CONES, HALF_ANGLES_DEG, Lights, OCCLUSION_RAYS, mean_in_cone, sites,
+};
 
 /// Rays of the truth of irradiance.
 const IRRADIANCE_RAYS: u32 = 1024;
@@ -218,13 +220,7 @@ fn cones(stage: &Stage, half_angle_rad: f32) -> Vec<Figures> {
             let axis = axes.cosine(cone, site.face_normal).direction;
             let identity = number as u32 * CONES + cone;
             let mean = |count: u32, of: &dyn Fn(Vec3, f32) -> Vec3| {
-                let bundle = Bundle::new(count, identity);
-                let along = |walk: u32| bundle.uniform(walk, axis, half_angle_rad);
-                let above = (0..count).map(along).filter(|cone| cone.direction.dot(site.face_normal) > 0.0);
-                let (sum, met) = above.fold((DVec3::ZERO, 0.0), |(sum, met), cone| {
-                    (sum + of(cone.direction, cone.tangent).as_dvec3(), met + 1.0)
-                });
-                luminance(sum / f64::max(met, 1.0))
+                mean_in_cone(&Bundle::new(count, identity), (axis, half_angle_rad), site.face_normal, of)
             };
             let cone =
                 Cone { from_m: site.position_m, normal: site.face_normal, direction: axis, half_angle_rad };

@@ -7,12 +7,12 @@ use lightkiln_proto::chunk;
 use lightkiln_proto::content::{BlockKey, ClusterTransport, PatchSet, Texel};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::kinds::prt::PATCHES;
-use lightkiln_proto::manifest::{CLUSTERS, ChunkRef, Manifest};
+use lightkiln_proto::manifest::{CLUSTERS, Manifest};
 use lightkiln_proto::relight::{Limit, PatchTable, stand_in};
 use lightkiln_proto::voxels::{LitByWalks, walked_blocks};
 use rayon::prelude::*;
 
-use super::base::Base;
+use super::base::{Base, bytes_of};
 use super::memory::{rung_memory, voxel_memory};
 use super::one_of;
 use super::only::{names, only};
@@ -93,9 +93,6 @@ impl PrtStream {
         let memory_of_all =
             (0..manifest.clusters.len()).map(|index| rung_memory(of(index), of(index).chunk.bytes));
         let [_, left] = self.base.more(manifest);
-        let bytes_of = |chunks: &[ChunkRef]| chunks.iter().map(|chunk| chunk.bytes).sum::<u64>();
-        let memory_of_more =
-            |chunks: &[ChunkRef]| chunks.iter().map(|chunk| voxel_memory(chunk.bytes)).sum::<u64>();
         let there = self.least_bytes(manifest);
         let memory_there = self.least_memory(manifest);
         self.streamed = Streamed {
@@ -107,7 +104,7 @@ impl PrtStream {
             clusters_all: manifest.clusters.len(),
             lost: self.lost.len(),
             memory: memory_there + self.clusters.iter().map(memory).sum::<u64>(),
-            memory_all: memory_there + memory_of_more(left) + memory_of_all.sum::<u64>(),
+            memory_all: memory_there + voxel_memory(bytes_of(left)) + memory_of_all.sum::<u64>(),
             memory_least: self.base_memory,
             baked: self.streamed.baked,
             turns: self.streamed.turns,
@@ -167,7 +164,7 @@ impl LightStream for PrtStream {
         // Finer voxels go before clusters do.
         let [come, _] = self.base.more(of.1);
         if !come.is_empty() && (budget.memory < self.streamed.memory || budget.bytes < self.streamed.bytes) {
-            self.base.let_go(of.1);
+            self.base.let_go();
             self.count(of.1);
             self.streamed.turns += 1;
         }
@@ -197,13 +194,13 @@ impl PrtStream {
     /// Bytes of what is there beside clusters.
     fn least_bytes(&self, manifest: &Manifest) -> u64 {
         let [come, _] = self.base.more(manifest);
-        self.base_bytes + come.iter().map(|chunk| chunk.bytes).sum::<u64>()
+        self.base_bytes + bytes_of(come)
     }
 
     /// Memory of it.
     fn least_memory(&self, manifest: &Manifest) -> u64 {
         let [come, _] = self.base.more(manifest);
-        self.base_memory + come.iter().map(|chunk| voxel_memory(chunk.bytes)).sum::<u64>()
+        self.base_memory + voxel_memory(bytes_of(come))
     }
 
     /// Fetches what comes after clusters, as far as there is room.
