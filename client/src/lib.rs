@@ -24,6 +24,7 @@ pub mod frame;
 pub mod kinds;
 pub mod lightmap;
 pub mod lights;
+mod movers;
 pub mod passes;
 pub mod picture;
 pub mod preview;

@@ -39,7 +39,7 @@ pub(crate) use gpu::frame_of;
 pub use path::{FILE_MAX as PATH_FILE_MAX, ViewPath};
 pub use probes::{ProbeColours, probe_spheres};
 pub use provisional::provisional_share;
-pub use receivers::{LitReceivers, light_receivers};
+pub use receivers::{LitReceivers, light_receivers, light_receivers_among};
 pub use within::StreamedBake;
 
 #[cfg(test)]

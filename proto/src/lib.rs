@@ -26,5 +26,6 @@ pub mod scene;
 pub mod scene_parts;
 pub mod settings;
 pub mod trace;
+pub mod transfer;
 pub mod voxels;
 pub mod words;

@@ -7,9 +7,10 @@ use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
     LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, PatchTable, Sky,
 };
+use lightkiln_proto::transfer::TransferTable;
 use lightkiln_proto::voxels::VoxelTable;
 
-use super::{FreeSpace, SettledWalks};
+use super::{Among, FreeSpace, SettledWalks};
 use crate::error::Result;
 use crate::fetch::Source;
 use crate::passes::atlas::Lightmap;
@@ -162,8 +163,8 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
-    /// Work before shading on the processor: bounces until they converge.
-    fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a>;
+    /// Work before shading on the processor: bounces until they converge. Kinds without voxels have nothing beside them and leave `among` aside.
+    fn settle<'a>(&'a self, lit: &LitScene<'a>, among: &Among<'_>, limit: Limit) -> SettledLight<'a>;
 
     /// The direct light that its bounces start from; `None` for a kind that takes none.
     fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {
@@ -172,8 +173,8 @@ pub trait Light: Debug + Send + Sync {
     }
 
     /// Light at receivers after the last bounce, on the processor; `None` for a kind without receivers.
-    fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
-        let _ = (lit, limit);
+    fn at_receivers(&self, lit: &LitScene<'_>, among: &Among<'_>, limit: Limit) -> Option<SettledReceivers> {
+        let _ = (lit, among, limit);
         None
     }
 
@@ -251,6 +252,11 @@ pub trait Light: Debug + Send + Sync {
 
     /// Voxels, of a bake that has some, and the patches that they name.
     fn voxels(&self) -> Option<(&VoxelTable, &PatchTable)> {
+        None
+    }
+
+    /// The volume of a bake that is an object's.
+    fn volume(&self) -> Option<&TransferTable> {
         None
     }
 

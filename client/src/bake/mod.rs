@@ -4,6 +4,7 @@
 //! gives the work before shading on the processor ([`Light::settle`]) and on the adapter ([`LightPasses`]), and the
 //! shading function in both forms.
 
+mod among;
 mod edit;
 mod errors;
 mod free_space;
@@ -18,6 +19,7 @@ use crate::error::Result;
 use crate::fetch::Source;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 
+pub use among::{Among, Beside, Mover};
 pub use edit::{Edited, QuickBake};
 pub use errors::{COLUMNS, FULL_COLOUR, MeasuredErrors};
 pub use free_space::{FreeSpace, Lattice, NO_PROBE, PROBE_COEFFICIENTS, Tetrahedra};
@@ -35,9 +37,16 @@ pub struct LoadedBake {
     pub scene: Arc<LoadedScene>,
     /// Its light.
     pub light: Box<dyn Light>,
+    /// Objects beside it that have bakes of their own.
+    pub movers: Vec<Mover>,
 }
 
 impl LoadedBake {
+    /// Of a scene and its light, with nothing beside it.
+    pub fn new(scene: impl Into<Arc<LoadedScene>>, light: Box<dyn Light>) -> Self {
+        Self { scene: scene.into(), light, movers: Vec::new() }
+    }
+
     /// Fetches, verifies and decodes every chunk of a bake, whose kind must be among `kinds` and must approve the manifest.
     ///
     /// ```no_run
@@ -52,7 +61,7 @@ impl LoadedBake {
         let kind = kinds.of(&manifest)?;
         let scene = LoadedScene::fetch(source, manifest)?;
         let light = kind.load(source, &scene)?;
-        Ok(Self { scene: Arc::new(scene), light })
+        Ok(Self::new(scene, light))
     }
 
     /// Gives materials other colours, from which all light follows; the bake's own are gone.

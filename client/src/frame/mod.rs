@@ -34,7 +34,7 @@ use lightkiln_proto::scene::{SceneCamera, SceneLight};
 use crate::bake::{
     LightPasses, LoadedBake, MeasuredErrors, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed,
 };
-use crate::error::Result;
+use crate::error::{ClientError, Result};
 use crate::lights::{Caster, Panorama, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
 use crate::passes::fog::{Fog, FogNumbers, FogPass};
@@ -139,6 +139,10 @@ impl<'a> Frame<'a> {
     ) -> Result<Self> {
         let (gpu, bake) = (&*held_gpu, &*held_bake);
         let scene = &bake.scene;
+        if !bake.movers.is_empty() {
+            let problem = "objects with bakes of their own are drawn by the processor".to_owned();
+            return Err(ClientError::Adapter { problem });
+        }
         room.shadows.check()?;
         let meshes = Meshes::new(gpu, scene)?;
         let shadow = ShadowPass::new(gpu, scene, &meshes, &room.shadows)?;

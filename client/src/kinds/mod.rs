@@ -6,6 +6,7 @@ pub mod field;
 pub mod grid;
 pub mod prt;
 pub mod sh;
+pub mod transfer;
 pub mod voxels;
 
 use crate::bake::ClientKinds;
@@ -19,4 +20,5 @@ pub fn all() -> ClientKinds {
         .with(cloud::Cloud)
         .with(captured::Captured)
         .with(voxels::Voxels)
+        .with(transfer::Transfer)
 }

@@ -4,7 +4,7 @@ use glam::{Vec3, Vec4};
 use lightkiln_proto::relight::{Columns, Limit};
 
 use super::LightmapLight;
-use crate::bake::{DebugPage, LitScene};
+use crate::bake::{Among, DebugPage, LitScene};
 use crate::passes::atlas::reference::spread;
 use crate::scene::LoadedScene;
 
@@ -15,7 +15,7 @@ pub const CLUSTERS: &str = "clusters";
 
 impl<C: Columns> LightmapLight<C> {
     pub(super) fn irradiance_page(&self, page: usize, lit: &LitScene<'_>, limit: Limit) -> Option<DebugPage> {
-        let settled = self.settled(lit, limit);
+        let settled = self.settled(lit, &Among::default(), limit);
         let light = &settled.light;
         let straight: Vec<Vec4> =
             settled.dir.iter().zip(&light.emit).map(|(dir, emit)| *dir + *emit).collect();

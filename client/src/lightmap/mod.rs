@@ -14,11 +14,12 @@ use lightkiln_proto::relight::{
     Columns, Incoming, Inconsistent, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, NO_PATCH,
     PatchTable, Settled, SlotTable, Transport,
 };
+use lightkiln_proto::transfer::TransferTable;
 use lightkiln_proto::voxels::VoxelTable;
 use wgpu::TextureViewDimension as Dimension;
 
 use crate::bake::{
-    DebugPage, IncomingDirect, Light, LightPasses, LitScene, Overlay, ReceiverLight, SettledLight,
+    Among, DebugPage, IncomingDirect, Light, LightPasses, LitScene, Overlay, ReceiverLight, SettledLight,
     SettledReceivers, SettledWalks, Unshadowed, UnshadowedArrays, emitter_radiance,
 };
 use crate::error::{ClientError, Result};
@@ -72,6 +73,8 @@ pub struct LightmapLight<C> {
     pub points: TexelPoints,
     /// Elements, of a bake that has some.
     pub voxels: Option<VoxelTable>,
+    /// What an object covers around it, of a bake that is one's.
+    pub volume: Option<TransferTable>,
     /// Made when it is first asked for.
     lod: OnceLock<LodTable>,
 }
@@ -102,14 +105,15 @@ impl<C: Columns> LightmapLight<C> {
         let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers);
         let points =
             TexelPoints::new((&scene.draws, &scene.lightmap), &transport.slots, &transport.receivers);
-        Ok(Self { transport, texels, points, voxels: None, lod: OnceLock::new() })
+        Ok(Self { transport, texels, points, voxels: None, volume: None, lod: OnceLock::new() })
     }
 
     /// Bounces until they converge, E_dir from shadow maps.
-    pub fn settled(&self, lit: &LitScene<'_>, limit: Limit) -> Lit {
-        let IncomingDirect { receivers, near } = self.direct(lit);
+    pub fn settled(&self, lit: &LitScene<'_>, among: &Among<'_>, limit: Limit) -> Lit {
+        let IncomingDirect { receivers, near } = self.direct(lit, among);
         let Unshadowed { sky, panorama, emitter_scale } = lit.unshadowed;
-        let incoming = Incoming { dir: &receivers, near: &near, sky, panorama, emitter_scale };
+        let Among { around, moved, .. } = *among;
+        let incoming = Incoming { dir: &receivers, near: &near, sky, panorama, around, moved, emitter_scale };
         let detail = lit.lod.map(|plan| (self.lod(), plan));
         let light = self.transport.settle_in(&Threads, &incoming, limit, detail);
         Lit { dir: receivers, light }
@@ -122,12 +126,12 @@ impl<C: Columns> LightmapLight<C> {
     }
 
     /// E_dir of receivers and near hits from shadow maps.
-    fn direct(&self, lit: &LitScene<'_>) -> IncomingDirect {
+    fn direct(&self, lit: &LitScene<'_>, among: &Among<'_>) -> IncomingDirect {
         let Transport { receivers, near, .. } = &self.transport;
         let [positions_m, normals] = near.surfaces(receivers);
         IncomingDirect {
-            receivers: direct_texels(receivers, &self.points, lit.plan, lit.maps),
-            near: direct(&positions_m, &normals, lit.plan, lit.maps),
+            receivers: direct_texels(receivers, &self.points, &among.world_from_scene, lit.plan, lit.maps),
+            near: direct(&positions_m, &normals, &among.world_from_scene, lit.plan, lit.maps),
         }
     }
 }
@@ -188,19 +192,19 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         Shading { snippet: INDIRECT, bindings: vec![pages, storage_read()] }
     }
 
-    fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {
-        let Settled { emit, ind, lambda, bounces, converged, .. } = self.settled(lit, limit).light;
+    fn settle<'a>(&'a self, lit: &LitScene<'a>, among: &Among<'_>, limit: Limit) -> SettledLight<'a> {
+        let Settled { emit, ind, lambda, bounces, converged, .. } = self.settled(lit, among, limit).light;
         let pages = spread(&lit.scene.lightmap, &self.texels, &emit, &ind);
         let walks = self.walks(lit, lambda);
         SettledLight { indirect: Box::new(LitPages { scene: lit.scene, pages }), walks, bounces, converged }
     }
 
     fn incoming(&self, lit: &LitScene<'_>) -> Option<IncomingDirect> {
-        Some(self.direct(lit))
+        Some(self.direct(lit, &Among::default()))
     }
 
-    fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
-        Some(self.settled(lit, limit).at_receivers(Vec::new()))
+    fn at_receivers(&self, lit: &LitScene<'_>, among: &Among<'_>, limit: Limit) -> Option<SettledReceivers> {
+        Some(self.settled(lit, among, limit).at_receivers(Vec::new()))
     }
 
     fn passes(
@@ -281,6 +285,10 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
 
     fn voxels(&self) -> Option<(&VoxelTable, &PatchTable)> {
         self.elements()
+    }
+
+    fn volume(&self) -> Option<&TransferTable> {
+        self.volume.as_ref()
     }
 
     fn lightmap<'a>(&'a self, scene: &'a LoadedScene) -> Option<Lightmap<'a>> {

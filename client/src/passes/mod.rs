@@ -25,6 +25,7 @@ pub mod shade;
 pub mod shadow;
 pub mod show;
 pub mod stopwatch;
+pub mod transfer;
 pub mod walk;
 pub mod walked;
 

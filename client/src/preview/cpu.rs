@@ -3,6 +3,7 @@
 use super::{Prepared, jitters};
 use crate::bake::{SettledLight, SettledWalks};
 use crate::error::{ClientError, Result};
+use crate::movers::Standings;
 use crate::passes::fog::FogNumbers;
 use crate::passes::fog::reference::Froxels;
 use crate::passes::shade::ShadeView;
@@ -18,8 +19,9 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
     let Prepared { bake, scene, bounds_m, view, plan, sky, lod } = prepared;
     let scene: &LoadedScene = scene;
     let maps = draw(scene, plan);
-    let SettledLight { mut indirect, walks, bounces, converged } =
-        bake.light.settle(&prepared.lit(&maps), view.limit);
+    let standings = Standings::new(bake, &view.objects)?;
+    let lit = prepared.lit(&maps);
+    let SettledLight { mut indirect, walks, bounces, converged } = standings.settle(&lit, view.limit);
     if view.walks.asks_for_voxels() && walks.is_none() {
         let problem = "need a bake with voxels; bake it with --set voxels=on".to_owned();
         return Err(ClientError::Argument { what: "walks".to_owned(), problem });

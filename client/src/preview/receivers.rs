@@ -10,8 +10,10 @@ use crate::bake::{LoadedBake, SettledReceivers};
 use crate::error::{ClientError, Result};
 use crate::frame::{Frame, FrameRoom};
 use crate::lights::Panorama;
+use crate::movers::Standings;
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::reference::draw;
+use crate::scene::Stance;
 
 /// Light at receivers, and who settled it.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,7 +24,7 @@ pub struct LitReceivers {
     pub lit_by: String,
 }
 
-/// Lights a bake's receivers by `lights`, a panorama and its emitters, one factor each, 1 where absent. Errs for a kind without receivers.
+/// Lights a bake's receivers as [`light_receivers_among`] does, all objects at rest.
 pub fn light_receivers(
     bake: &LoadedBake,
     lights: Vec<SceneLight>,
@@ -30,8 +32,28 @@ pub fn light_receivers(
     emitter_scale: Vec<f32>,
     backend: Backend,
 ) -> Result<LitReceivers> {
-    let view =
-        View { panorama, emitter_scale, width: 16, height: 16, ..View::new(camera_over(bake), lights) };
+    light_receivers_among(bake, lights, panorama, emitter_scale, &[], backend)
+}
+
+/// Lights a bake's receivers by `lights`, a panorama and its emitters, one factor each, 1 where absent, with objects where stances
+/// have them. Errs for a kind without receivers.
+pub fn light_receivers_among(
+    bake: &LoadedBake,
+    lights: Vec<SceneLight>,
+    panorama: Option<Arc<Panorama>>,
+    emitter_scale: Vec<f32>,
+    objects: &[Stance],
+    backend: Backend,
+) -> Result<LitReceivers> {
+    let objects = objects.to_vec();
+    let view = View {
+        panorama,
+        emitter_scale,
+        objects,
+        width: 16,
+        height: 16,
+        ..View::new(camera_over(bake), lights)
+    };
     let prepared = Prepared::new(bake, &view)?;
     let reason = match backend {
         Backend::Cpu => "as asked".to_owned(),
@@ -47,7 +69,8 @@ pub fn light_receivers(
         },
     };
     let maps = draw(&prepared.scene, &prepared.plan);
-    let settled = bake.light.at_receivers(&prepared.lit(&maps), view.limit);
+    let standings = Standings::new(bake, &view.objects)?;
+    let settled = standings.at_receivers(&prepared.lit(&maps), view.limit);
     let lit_by = format!("the processor, slower than a graphics adapter ({reason})");
     Ok(LitReceivers { settled: settled.ok_or_else(|| without_receivers(bake))?, lit_by })
 }

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use lightkiln_proto::manifest::{CLUSTERS, DIRECTORY, Manifest, OVERVIEW};
 
 use super::{Prepared, View};
-use crate::bake::{ClientKinds, LightStream, LoadedBake};
+use crate::bake::{Beside, ClientKinds, LightStream, LoadedBake};
 use crate::error::{ClientError, Result};
 use crate::fetch::{Following, News, Source, check_outline, outline_of};
 use crate::passes::shadow::reference::draw;
-use crate::scene::{LoadedScene, Object, Recolour, Tints};
+use crate::scene::{LoadedScene, Recolour, Tints};
 use crate::stream::{Baked, Budget, Streamed, Viewpoint};
 
 /// Share of the light's memory that is tried where an adapter has no room for it. Nearer to 1 → more of its room is used, after more
@@ -124,7 +124,7 @@ impl StreamedBake {
             stream.grown(manifest, baked(following));
         }
         let light = stream.light(&scene, manifest)?;
-        let bake = Arc::new(LoadedBake { scene: Arc::new(scene), light });
+        let bake = Arc::new(LoadedBake::new(scene, light));
         let (source, tints) = (source.clone(), Tints::default());
         let memory_max = budget.memory;
         Ok(Self { source, bake, stream, listing, manifest_bytes, memory_max, tints, view: None })
@@ -163,13 +163,21 @@ impl StreamedBake {
     }
 
     /// Puts objects beside the bake, at rest at the origin.
-    pub fn add_objects(&mut self, objects: Vec<Object>) -> Result<()> {
+    pub fn add_objects(&mut self, objects: Vec<Beside>) -> Result<()> {
         if objects.is_empty() {
             return Ok(());
         }
         let mut bake = self.assembled()?;
         bake.tint_light(&self.tints);
-        objects.into_iter().try_for_each(|object| bake.add_object(object))?;
+        for beside in objects {
+            match beside {
+                Beside::Meshes(object) => bake.add_object(object)?,
+                Beside::Baked { name, .. } => {
+                    let problem = "has a bake of its own, which is shown beside all light of a bake that is done: leave out bounds of bytes and memory".to_owned();
+                    return Err(ClientError::Argument { what: format!("object '{name}'"), problem });
+                }
+            }
+        }
         self.bake = Arc::new(bake);
         Ok(())
     }
@@ -240,7 +248,7 @@ impl StreamedBake {
     fn assembled(&self) -> Result<LoadedBake> {
         let manifest = self.listing.manifest(&self.bake.scene);
         let light = self.stream.light(&self.bake.scene, manifest)?;
-        Ok(LoadedBake { scene: Arc::clone(&self.bake.scene), light })
+        Ok(LoadedBake::new(Arc::clone(&self.bake.scene), light))
     }
 }
 

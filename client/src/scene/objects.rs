@@ -105,6 +105,22 @@ impl LoadedScene {
         Ok(())
     }
 
+    /// Its own meshes as an object beside another bake.
+    pub(crate) fn as_object(&self, name: &str) -> Object {
+        let own = &self.draws.draws[..self.own_draws()];
+        Object {
+            name: name.to_owned(),
+            materials: self.own_materials().to_vec(),
+            textures: self.textures.iter().map(|texture| (**texture).clone()).collect(),
+            shape: Arc::new(Rigid(own.iter().map(unloaded).collect())),
+        }
+    }
+
+    /// Number of its own meshes: those of objects come behind them.
+    pub(crate) fn own_draws(&self) -> usize {
+        self.objects.first().map_or(self.draws.draws.len(), |object| object.first_draw)
+    }
+
     /// Names of objects, in their order.
     pub fn object_names(&self) -> impl Iterator<Item = &str> {
         self.objects.iter().map(|object| object.name.as_str())
@@ -204,10 +220,16 @@ pub(crate) fn check_stances(scene: &LoadedScene, stances: &[Stance]) -> Result<(
 }
 
 /// Place of an object: `T · R_y(yaw) · R_x(pitch) · R_z(roll) · s`.
-fn world_from_object(stance: &Stance) -> Affine3A {
+pub(crate) fn world_from_object(stance: &Stance) -> Affine3A {
     let [yaw, pitch, roll] = stance.turn_deg.map(f32::to_radians);
     let turn = Quat::from_euler(EulerRot::YXZ, yaw, pitch, roll);
     Affine3A::from_scale_rotation_translation(Vec3::splat(stance.scale), turn, stance.position_m.into())
+}
+
+/// The turn of a place of uniform scale.
+pub(crate) fn turn_of(place: &Affine3A) -> Mat3 {
+    let turned = Mat3::from(place.matrix3);
+    turned * turned.x_axis.length().max(f32::MIN_POSITIVE).recip()
 }
 
 impl PlacedObject {
@@ -216,12 +238,17 @@ impl PlacedObject {
         let found = self.shape.draws(stance.clip, stance.time_s);
         let draws = found.map_err(|source| ClientError::Object { name: self.name.clone(), source })?;
         let place = world_from_object(stance);
-        let rotation = Mat3::from(place.matrix3) * (1.0 / stance.scale);
+        let rotation = turn_of(&place);
         let mut posed = Vec::with_capacity(draws.len());
         for draw in draws {
-            let draw = Draw { front: None, back: None, lightmap_texel: Vec::new(), ..draw };
+            let mut draw = Draw { front: None, back: None, ..draw };
+            let texels = std::mem::take(&mut draw.lightmap_texel);
             let mut mesh = checked(&draw, materials).map_err(|problem| refused(&self.name, problem))?;
             mesh.material += self.first_material;
+            // Those of a lightmap of its own.
+            for (vertex, texel) in mesh.vertices.iter_mut().zip(texels) {
+                vertex.lightmap_texel = texel;
+            }
             for Vertex { position_m, normal, .. } in &mut mesh.vertices {
                 let at = place.transform_point3((*position_m).into());
                 if !at.is_finite() {
@@ -236,6 +263,23 @@ impl PlacedObject {
             posed.push(LoadedDraw { front: NO_BLOCK, back: NO_BLOCK, ..mesh });
         }
         Ok(posed)
+    }
+}
+
+/// A mesh as chunks have it, without its places in a lightmap's blocks.
+fn unloaded(mesh: &LoadedDraw) -> Draw {
+    let of = |vertex: &Vertex| (vertex.position_m, vertex.normal);
+    let (position_m, normal) = mesh.vertices.iter().map(of).unzip();
+    Draw {
+        material: mesh.material,
+        position_m,
+        normal,
+        uv: mesh.vertices.iter().map(|vertex| vertex.uv).collect(),
+        colour: mesh.vertices.iter().map(|vertex| vertex.colour).collect(),
+        lightmap_texel: mesh.vertices.iter().map(|vertex| vertex.lightmap_texel).collect(),
+        triangles: mesh.triangles.clone(),
+        front: None,
+        back: None,
     }
 }
 

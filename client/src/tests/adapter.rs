@@ -3,12 +3,12 @@
 //! Ignored by default, so that a machine without an adapter never reports them as passed; `tests/run` asks for them where
 //! it finds a driver: `cargo test -p lightkiln-client --lib -- --ignored adapter`.
 
-use glam::Vec4;
+use glam::{Affine3A, Vec4};
 use lightkiln_proto::relight::{Irradiance, NearHit, Sky, TAKEN, WalkedRow};
 use lightkiln_proto::scene::SceneLight;
 
 use super::{fixture_light, prepared, view_of};
-use crate::bake::{Light, LightPasses, LoadedBake, Unshadowed};
+use crate::bake::{Among, Light, LightPasses, LoadedBake, Unshadowed};
 use crate::fixture;
 use crate::frame::Frame;
 use crate::kinds::sh::relight;
@@ -192,7 +192,7 @@ fn direct_agrees<C: ClientColumns>(gpu: &Gpu, stage: &Stage<C>) {
     let maps = stage.shadow.read(gpu).unwrap();
     let receivers = &stage.light.transport.receivers;
     let points = &stage.light.points;
-    let wanted = direct::reference::direct_texels(receivers, points, &stage.plan, &maps);
+    let wanted = direct::reference::direct_texels(receivers, points, &Affine3A::IDENTITY, &stage.plan, &maps);
     assert!(wanted.iter().any(|e| e.x > 0.1));
     held("direct", &Difference::of(&got, &wanted, direct::TOLERANCE), direct::OUTLIERS);
 }
@@ -236,7 +236,7 @@ fn near_hits_agree<C: ClientColumns>(mut gpu: Gpu, stage: &Stage<C>) {
     let table = &stage.light.transport.near;
     let receivers = &stage.light.transport.receivers;
     let [positions_m, normals] = table.surfaces(receivers);
-    let dir = direct::reference::direct(&positions_m, &normals, &stage.plan, &maps);
+    let dir = direct::reference::direct(&positions_m, &normals, &Affine3A::IDENTITY, &stage.plan, &maps);
     assert!(dir.iter().any(|e| e.x > 0.0) && dir.len() > 40 && !table.own.is_empty());
     let count = stage.receivers();
     let black = vec![Vec4::ZERO; count];
@@ -420,7 +420,7 @@ fn shade_agrees_with_the_reference_on_the_same_maps_and_light() {
         let limit = lightkiln_proto::relight::Limit { bounces_max: 3, change_max: 0.0 };
         frame.settle(limit).unwrap();
         let maps = frame.shadow.read(&gpu).unwrap();
-        let mut settled = bake.light.settle(&prepared.lit(&maps), limit);
+        let mut settled = bake.light.settle(&prepared.lit(&maps), &Among::default(), limit);
         for jitter in [[0.0, 0.0], [0.375, -0.125]] {
             agree_on_a_picture(bake, &view, &mut frame, &mut settled, &maps, jitter);
         }

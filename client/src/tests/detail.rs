@@ -60,7 +60,7 @@ fn bounces_agree(gpu: &Gpu, bake: &LoadedBake, settings: &str) {
         let lit = prepared.lit(&maps);
         let lit = crate::bake::LitScene { lod: lit.lod.filter(|_| has_detail), ..lit };
         let limit = Limit { bounces_max, change_max: 0.0 };
-        bake.light.at_receivers(&lit, limit).unwrap().light.indirect
+        bake.light.at_receivers(&lit, &Default::default(), limit).unwrap().light.indirect
     };
     let mut frame = Frame::new(gpu, bake, room(), view.camera.clone()).unwrap();
     frame.set_emitters(&view.emitter_scale).unwrap();

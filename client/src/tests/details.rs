@@ -96,7 +96,7 @@ fn flipped(bake: &LoadedBake) -> LoadedBake {
     scene.textures[map] = fixture::waves(-1.0);
     let of_kind = |other: &LoadedBake| other.scene.manifest.kind == scene.manifest.kind;
     let light = bakes().into_iter().find(of_kind).unwrap().light;
-    LoadedBake { scene: Arc::new(scene), light }
+    LoadedBake::new(scene, light)
 }
 
 /// Light that is the same from everywhere is the same on every slope; white surfaces send all of it back, metal or not.
@@ -142,7 +142,7 @@ fn lightmap_is_turned_as_the_field_says() {
             };
             let prepared = prepared(&bake, &view);
             let maps = draw(&prepared.scene, &prepared.plan);
-            let settled = bake.light.settle(&prepared.lit(&maps), Default::default());
+            let settled = bake.light.settle(&prepared.lit(&maps), &Default::default(), Default::default());
             let at = |towards: Vec3| {
                 let mut surface = surface_at(Vec3::new(0.0, 1.2, 2.0), Vec3::X, 1);
                 (surface.lightmap_texel, surface.lightmap_before) = ([3.4, 4.2], [3.4, 4.2]);

@@ -5,7 +5,7 @@ use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::Limit;
 
 use super::view_of;
-use crate::bake::{Light, LightPasses, LitScene, LoadedBake, SettledLight};
+use crate::bake::{Among, Light, LightPasses, LitScene, LoadedBake, SettledLight};
 use crate::error::Result;
 use crate::fixture::{geometry, manifest, texture};
 use crate::passes::gpu::{Gpu, uniform};
@@ -55,7 +55,7 @@ impl Light for Facing {
         Shading { snippet: SNIPPET, bindings: vec![uniform(false)] }
     }
 
-    fn settle<'a>(&'a self, _: &LitScene<'a>, _: Limit) -> SettledLight<'a> {
+    fn settle<'a>(&'a self, _: &LitScene<'a>, _: &Among<'_>, _: Limit) -> SettledLight<'a> {
         SettledLight { indirect: Box::new(Seen(Vec3::ZERO)), walks: None, bounces: 0, converged: true }
     }
 
@@ -88,7 +88,7 @@ impl LightPasses for Uploaded {
 pub(super) fn bake() -> LoadedBake {
     let manifest = Manifest { lightmap: None, ..manifest(NAME) };
     let scene = LoadedScene::assemble(manifest, vec![geometry()], vec![texture()]).unwrap();
-    LoadedBake { scene: scene.into(), light: Box::new(Facing) }
+    LoadedBake::new(scene, Box::new(Facing))
 }
 
 /// As [`bake`], with glass in the room.
@@ -97,7 +97,7 @@ pub(crate) fn glazed_bake() -> LoadedBake {
     let mut geometry = geometry();
     geometry.draws.extend(super::glass::glazed());
     let scene = LoadedScene::assemble(manifest, vec![geometry], vec![texture()]).unwrap();
-    LoadedBake { scene: scene.into(), light: Box::new(Facing) }
+    LoadedBake::new(scene, Box::new(Facing))
 }
 
 #[test]

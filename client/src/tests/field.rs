@@ -59,13 +59,13 @@ fn light_beside_a_wall(is_lattice: bool) {
     let prepared = prepared(&bake, &view);
     let maps = draw(&prepared.scene, &prepared.plan);
     let lit = prepared.lit(&maps);
-    let settled = crate::bake::Light::settle(&light, &lit, Limit::default());
+    let settled = crate::bake::Light::settle(&light, &lit, &Default::default(), Limit::default());
     let object = scene.draws.draws.len() as u32;
     let at = |position: Vec3, normal: Vec3| {
         settled.indirect.indirect_irradiance(&surface_at(position, normal, object))
     };
     // Over the floor's middle, looking up, there is the light of the whole room; the floor itself has about as much.
-    let floor = light.lightmap.settled(&lit, Limit::default()).light;
+    let floor = light.lightmap.settled(&lit, &Default::default(), Limit::default()).light;
     let slots = 0..light.lightmap.transport.receivers.len() as u32;
     let is_floor = |slot: &u32| {
         let place = light.lightmap.transport.receivers.position_m[*slot as usize];

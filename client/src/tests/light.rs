@@ -319,7 +319,7 @@ fn direct_light_of_a_texel_is_the_mean_over_the_points_of_its_coverage() {
     let maps = draw(&bake.scene, &prepared.plan);
     let (_, light) = fixture_light();
     let receivers = &light.transport.receivers;
-    let found = direct_texels(receivers, &light.points, &prepared.plan, &maps);
+    let found = direct_texels(receivers, &light.points, &Default::default(), &prepared.plan, &maps);
     let (mut in_half_shadow, mut off) = (0, 0.0_f32);
     for (slot, found) in found.iter().enumerate() {
         let own = (receivers.position_m[slot].truncate(), receivers.normal[slot].truncate());

@@ -123,7 +123,7 @@ fn shadow_of_an_object_reaches_the_bounced_light() {
         let view = View { objects, ..view.clone() };
         let prepared = prepared(&bake, &view);
         let maps = draw(&prepared.scene, &prepared.plan);
-        let settled = light.settled(&prepared.lit(&maps), view.limit).light;
+        let settled = light.settled(&prepared.lit(&maps), &Default::default(), view.limit).light;
         let slots = 0..light.transport.receivers.len() as u32;
         slots.map(|slot| f64::from(settled.indirect(slot).x)).sum::<f64>()
     };

@@ -271,11 +271,11 @@ fn adapter_takes_better_light_without_losing_edits() {
     let wanted = viewer.picture().unwrap();
     let scene = Arc::clone(&fixture_view().0.scene);
     let light = Box::new(fixture::prt_light(&fixture::narrow_contents()).1);
-    viewer.set_bake(Arc::new(LoadedBake { scene: Arc::clone(&scene), light })).unwrap();
+    viewer.set_bake(Arc::new(LoadedBake::new(Arc::clone(&scene), light))).unwrap();
     settle(&mut viewer);
     let other = viewer.picture().unwrap();
     let light = Box::new(fixture::prt_light(&fixture::prt_contents()).1);
-    viewer.set_bake(Arc::new(LoadedBake { scene, light })).unwrap();
+    viewer.set_bake(Arc::new(LoadedBake::new(scene, light))).unwrap();
     settle(&mut viewer);
     let got = viewer.picture().unwrap();
     assert!(difference(&got, &wanted) < 0.5, "{}", difference(&got, &wanted));

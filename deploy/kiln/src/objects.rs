@@ -4,6 +4,8 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use lightkiln_client::bake::{Beside, ClientKinds, LoadedBake};
+use lightkiln_client::fetch::Source;
 use lightkiln_client::scene::{Object, ObjectShape, Stance, Texture};
 use lightkiln_proto::content::Draw;
 use lightkiln_proto::words::object_from_text;
@@ -28,6 +30,15 @@ pub fn parse_object(text: &str) -> std::result::Result<ObjectArgument, String> {
 }
 
 impl ObjectArgument {
+    /// Reads the file, or the bundle of an object's own bake.
+    pub fn beside(&self, kinds: &ClientKinds) -> Result<Beside> {
+        if !self.file.is_dir() {
+            return Ok(Beside::Meshes(self.read()?));
+        }
+        let bake = Arc::new(LoadedBake::load(&Source::bundle(&self.file)?, kinds)?);
+        Ok(Beside::Baked { name: self.file.display().to_string(), bake })
+    }
+
     /// Reads the file; says on standard error what of it is not honoured.
     pub fn read(&self) -> Result<Object> {
         let file = self.file.display();

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use lightkiln_client::ClientError;
-use lightkiln_client::bake::{ClientKinds, Edited, LoadedBake};
+use lightkiln_client::bake::{Beside, ClientKinds, Edited, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
@@ -15,7 +15,7 @@ use lightkiln_client::preview::{
     Backend, Fog, StreamedBake, SurfaceDetails, View, ViewPath, Walks, debug_picture, provisional_share,
     render, render_path,
 };
-use lightkiln_client::scene::{Object, Recolour, Stance, check_recolours};
+use lightkiln_client::scene::{Recolour, Stance, check_recolours};
 use lightkiln_client::stream::{Budget, Streamed};
 #[cfg(feature = "view")]
 use lightkiln_client::view::Subject;
@@ -204,7 +204,7 @@ impl LookArguments {
         source: &Source,
         kinds: &ClientKinds,
         lighting: &LightArguments,
-        objects: Vec<Object>,
+        objects: Vec<Beside>,
         max_memory: Option<u64>,
     ) -> Result<(Subject, View, Vec<String>)> {
         let budget = Budget { memory: max_memory.unwrap_or(u64::MAX), ..Budget::NONE };
@@ -233,7 +233,7 @@ impl LookArguments {
             return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
         }
         let mut bake = LoadedBake::load(source, kinds)?;
-        objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
+        objects.iter().cloned().try_for_each(|object| bake.put(object))?;
         let (view, notes) = self.view(&bake, lighting, None)?;
         let (source, kinds) = (source.clone(), kinds.clone());
         let less = move || {
@@ -343,10 +343,10 @@ impl PictureArguments {
         &self,
         bake: &mut LoadedBake,
         reel: &Reel,
-        (objects, mut stances): (&[Object], Vec<Stance>),
+        (objects, mut stances): (&[Beside], Vec<Stance>),
         lighting: &LightArguments,
     ) -> Result<View> {
-        objects.iter().cloned().try_for_each(|object| bake.add_object(object))?;
+        objects.iter().cloned().try_for_each(|object| bake.put(object))?;
         reel.show_in(bake, &mut stances)?;
         let mut view = View { objects: stances, ..self.view(bake, lighting, reel.path.as_ref())? };
         view.walks = Walks { occlusion_m: view.walks.occlusion_m, ..reel.walks() };
@@ -354,7 +354,7 @@ impl PictureArguments {
     }
 
     /// The bake with the colours that are asked for, and with objects.
-    fn furnished(&self, mut streamed: StreamedBake, objects: Vec<Object>) -> Result<StreamedBake> {
+    fn furnished(&self, mut streamed: StreamedBake, objects: Vec<Beside>) -> Result<StreamedBake> {
         streamed.recolour(&self.look.material)?;
         streamed.add_objects(objects)?;
         Ok(streamed)

@@ -5,11 +5,11 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use lightkiln_client::bake::LoadedBake;
+use lightkiln_client::bake::{Beside, ClientKinds, LoadedBake};
 use lightkiln_client::lights::ParsedLights;
 use lightkiln_client::picture::PassTime;
 use lightkiln_client::preview::{PATH_FILE_MAX, ProbeColours, ViewPath, Walks, probe_edges, probe_spheres};
-use lightkiln_client::scene::{Object, Stance};
+use lightkiln_client::scene::Stance;
 use lightkiln_client::stream::{Baked, Budget, Streamed};
 use lightkiln_proto::relight::LevelCount;
 use serde::Serialize;
@@ -78,12 +78,12 @@ pub struct Reel {
     pub path: Option<ViewPath>,
     /// Parts of the bake to be drawn too.
     show: Option<ShowName>,
-    objects: Vec<(Object, Stance)>,
+    objects: Vec<(Beside, Stance)>,
 }
 
 impl Reel {
     /// Takes its objects, and their stances.
-    pub fn take_objects(&mut self) -> (Vec<Object>, Vec<Stance>) {
+    pub fn take_objects(&mut self) -> (Vec<Beside>, Vec<Stance>) {
         std::mem::take(&mut self.objects).into_iter().unzip()
     }
 
@@ -119,7 +119,7 @@ impl Reel {
 
 impl ReelArguments {
     /// Reads path and objects, before any light is fetched.
-    pub fn read(&self, lighting: &LightArguments) -> Result<Reel> {
+    pub fn read(&self, lighting: &LightArguments, kinds: &ClientKinds) -> Result<Reel> {
         let path = self.path(lighting)?;
         let placed = path.as_ref().and_then(ViewPath::objects);
         if let Some(placed) = placed.filter(|placed| *placed != self.object.len()) {
@@ -129,7 +129,7 @@ impl ReelArguments {
             ))
             .try_this("--object FILE once for each, in the order of the keys"));
         }
-        let read = |object: &ObjectArgument| Ok((object.read()?, object.stance));
+        let read = |object: &ObjectArgument| Ok((object.beside(kinds)?, object.stance));
         let objects = self.object.iter().map(read).collect::<Result<_>>()?;
         let is_bounded = self.max_bytes.is_some() || self.max_memory.is_some();
         let bounded = Budget {

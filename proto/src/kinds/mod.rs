@@ -13,6 +13,7 @@ mod rates;
 mod scene_tasks;
 pub mod sh;
 mod tasks;
+pub mod transfer;
 mod under_way;
 pub mod voxels;
 mod warnings;
@@ -104,7 +105,15 @@ pub struct Kinds(Vec<&'static dyn Kind>);
 impl Kinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured, &voxels::Voxels])
+        Self(vec![
+            &prt::Prt,
+            &sh::Sh,
+            &grid::Grid,
+            &cloud::Cloud,
+            &captured::Captured,
+            &voxels::Voxels,
+            &transfer::Transfer,
+        ])
     }
 
     /// The table with one more kind.

@@ -36,7 +36,7 @@
 //! let columns = |slots: &_| PatchTable::new(&patches, slots);
 //! let transport = Transport::join([(7, [1, 1])], 0, &[cluster], columns).unwrap();
 //! let lamp = transport.receivers.normal.clone();
-//! let incoming = Incoming { dir: &lamp, near: &[], sky: Default::default(), panorama: None, emitter_scale: &[] };
+//! let incoming = Incoming { dir: &lamp, near: &[], sky: Default::default(), panorama: None, emitter_scale: &[], ..Incoming::default() };
 //! let settled = transport.settle(&Serial, &incoming, Limit::default());
 //! assert!(settled.converged && settled.ind.len() == 1);
 //! ```

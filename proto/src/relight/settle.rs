@@ -6,7 +6,7 @@ use super::lod::BounceArrays;
 use super::{Columns, Irradiance, LodPlan, LodTable, Panorama, Parallel, Sky, Transport};
 
 /// Light that the bake is lit by.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Incoming<'a> {
     /// E_dir at receivers by slot, W·m⁻².
     pub dir: &'a [Vec4],
@@ -16,6 +16,10 @@ pub struct Incoming<'a> {
     pub sky: Sky,
     /// A panorama on top of it.
     pub panorama: Option<&'a Panorama>,
+    /// Radiance of each part of the sky in their place, W·m⁻²·sr⁻¹, where they are not what is around.
+    pub around: Option<&'a [Vec4]>,
+    /// Irradiance by slot that objects give and take, W·m⁻²; none without them.
+    pub moved: Option<&'a [Vec4]>,
     /// One factor per emitter of the manifest; 1 where absent.
     pub emitter_scale: &'a [f32],
 }
@@ -70,6 +74,12 @@ impl Settled {
     }
 }
 
+/// `max(E_ind + ΔE, −E_emit)`: no more is taken from a receiver than it has.
+fn moved_by(settled: &Settled, moved: &[Vec4]) -> Vec<Vec4> {
+    let each = settled.ind.iter().zip(moved).zip(&settled.emit);
+    each.map(|((ind, moved), emit)| (*ind + *moved).max(-*emit)).collect()
+}
+
 impl<C: Columns> Transport<C> {
     /// Feeds bounces back until E_ind changes by less than the limit: the run time's passes, one after the other.
     pub fn settle(&self, parallel: &impl Parallel, incoming: &Incoming<'_>, limit: Limit) -> Settled {
@@ -86,7 +96,10 @@ impl<C: Columns> Transport<C> {
         detail: Option<(&LodTable, &LodPlan)>,
     ) -> Settled {
         let Self { receivers, clusters, near, walked, columns, .. } = self;
-        let sky = columns.skies_lambda(incoming.sky, incoming.panorama);
+        let sky = match incoming.around {
+            Some(around) => around.to_vec(),
+            None => columns.skies_lambda(incoming.sky, incoming.panorama),
+        };
         let mut settled = Settled {
             emit: self.emitter_irradiance(incoming.emitter_scale),
             ind: vec![Vec4::ZERO; receivers.len()],
@@ -95,7 +108,9 @@ impl<C: Columns> Transport<C> {
         let cycle = detail.map_or(1, |(_, plan)| plan.cycle() as usize);
         let mut changes = vec![f32::INFINITY; cycle];
         while settled.bounces < limit.bounces_max && !settled.converged {
-            let irradiance = Irradiance { dir: incoming.dir, emit: &settled.emit, ind: &settled.ind };
+            let fed = incoming.moved.map(|moved| moved_by(&settled, moved));
+            let ind = fed.as_ref().unwrap_or(&settled.ind);
+            let irradiance = Irradiance { dir: incoming.dir, emit: &settled.emit, ind };
             let lambda = self.lambda(parallel, irradiance, &sky);
             let mut gathered = near.gather(parallel, receivers, incoming.near, irradiance);
             walked.gather(parallel, &lambda, &mut gathered);

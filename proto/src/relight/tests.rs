@@ -213,8 +213,14 @@ fn near_hits_read_the_light_of_their_texel_or_of_the_receiver_that_meets_them() 
 fn cluster_that_nothing_reaches_settles_dark_at_once() {
     let transport = joined(cluster(1), patches(PatchSet::default())).unwrap();
     let black = [Vec4::ZERO];
-    let incoming =
-        Incoming { dir: &black, near: &[], sky: Sky::default(), panorama: None, emitter_scale: &[] };
+    let incoming = Incoming {
+        dir: &black,
+        near: &[],
+        sky: Sky::default(),
+        panorama: None,
+        emitter_scale: &[],
+        ..Incoming::default()
+    };
     let settled = transport.settle(&Serial, &incoming, Limit::default());
     assert_eq!((settled.bounces, settled.converged), (1, true));
     assert_eq!(settled.indirect(0), Vec4::ZERO);
@@ -243,7 +249,14 @@ fn bounces_sum_to_the_geometric_series_or_say_that_they_were_cut_off() {
     content.receivers.albedo = vec![[0.5; 3]];
     let transport = joined(content, patches(set)).unwrap();
     let dir = [Vec4::new(3.0, 1.0, 0.0, 0.0)];
-    let incoming = Incoming { dir: &dir, near: &[], sky: Sky::default(), panorama: None, emitter_scale: &[] };
+    let incoming = Incoming {
+        dir: &dir,
+        near: &[],
+        sky: Sky::default(),
+        panorama: None,
+        emitter_scale: &[],
+        ..Incoming::default()
+    };
     let settled = transport.settle(&Serial, &incoming, Limit { bounces_max: 100, change_max: 1e-5 });
     assert!(settled.converged && (settled.ind[0] - dir[0]).length() < 1e-3, "{}", settled.ind[0]);
     let cut = transport.settle(&Serial, &incoming, Limit { bounces_max: 3, change_max: 1e-5 });

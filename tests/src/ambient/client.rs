@@ -1,7 +1,7 @@
 //! The client's side of the kind: its chunk, and one shading function for adapter and processor.
 
 use glam::Vec3;
-use lightkiln_client::bake::{ClientKind, Light, LightPasses, LitScene, SettledLight};
+use lightkiln_client::bake::{Among, ClientKind, Light, LightPasses, LitScene, SettledLight};
 use lightkiln_client::fetch::{Source, decoded};
 use lightkiln_client::passes::gpu::{Gpu, uniform};
 use lightkiln_client::passes::shade::{IndirectIrradiance, Shading, Surface};
@@ -51,7 +51,7 @@ impl Light for Constant {
         Shading { snippet: SNIPPET, bindings: vec![uniform(false)] }
     }
 
-    fn settle<'a>(&'a self, _: &LitScene<'a>, _: Limit) -> SettledLight<'a> {
+    fn settle<'a>(&'a self, _: &LitScene<'a>, _: &Among<'_>, _: Limit) -> SettledLight<'a> {
         SettledLight { indirect: Box::new(*self), walks: None, bounces: 0, converged: true }
     }
 

@@ -109,6 +109,7 @@ fn indirect(transport: &Transport<PatchTable>, lighting: &Lighting) -> Vec<Vec4>
         sky: Sky { zenith, horizon },
         panorama: None,
         emitter_scale: &off,
+        ..Incoming::default()
     };
     transport.settle(&Serial, &incoming, Limit::default()).ind
 }

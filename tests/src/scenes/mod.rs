@@ -18,6 +18,7 @@ pub mod lathe;
 pub mod masonry;
 pub mod mesh;
 pub mod moulding;
+pub mod movers;
 mod panes;
 mod rooms;
 mod scales;

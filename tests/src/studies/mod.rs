@@ -9,6 +9,7 @@ mod measure;
 pub mod papers;
 mod plot;
 mod report;
+pub mod transfer;
 pub mod voxels;
 pub mod walks;
 

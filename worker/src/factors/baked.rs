@@ -91,7 +91,8 @@ impl<C: Columns> Baked<C> {
         let emitter_scale = vec![lighting.emitter_scale; self.emitters];
         let sky = Sky::of(&lighting.lights);
         let panorama = lighting.panorama.as_deref();
-        let incoming = Incoming { dir, near, sky, panorama, emitter_scale: &emitter_scale };
+        let incoming =
+            Incoming { dir, near, sky, panorama, emitter_scale: &emitter_scale, ..Incoming::default() };
         Light { settled: self.transport.settle(&Threads, &incoming, LIMIT), emitter_scale }
     }
 

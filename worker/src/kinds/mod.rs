@@ -6,6 +6,7 @@ pub mod field;
 pub mod grid;
 pub mod prt;
 pub mod sh;
+pub mod transfer;
 pub mod voxels;
 
 use std::collections::BTreeMap;
@@ -84,7 +85,15 @@ pub struct BakeKinds(Vec<&'static dyn BakeKind>);
 impl BakeKinds {
     /// The kinds of this crate.
     pub fn new() -> Self {
-        Self(vec![&prt::Prt, &sh::Sh, &grid::Grid, &cloud::Cloud, &captured::Captured, &voxels::Voxels])
+        Self(vec![
+            &prt::Prt,
+            &sh::Sh,
+            &grid::Grid,
+            &cloud::Cloud,
+            &captured::Captured,
+            &voxels::Voxels,
+            &transfer::Transfer,
+        ])
     }
 
     /// The table with one more kind.

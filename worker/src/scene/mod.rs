@@ -5,6 +5,7 @@
 
 mod accessor;
 mod animation;
+mod beside;
 mod buffers;
 mod bundle;
 mod census;

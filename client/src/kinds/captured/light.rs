@@ -6,7 +6,8 @@ use lightkiln_proto::kinds::field::{Between, FieldTable};
 use lightkiln_proto::relight::Limit;
 
 use crate::bake::{
-    FreeSpace, Light, LightPasses, LitScene, ReceiverBuffers, ReceiverLight, SettledLight, SettledReceivers,
+    Among, FreeSpace, Light, LightPasses, LitScene, ReceiverBuffers, ReceiverLight, SettledLight,
+    SettledReceivers,
 };
 use crate::error::Result;
 use crate::kinds::field::{LATTICE_ALONE, TETRAHEDRA_ALONE, medium, numbers, words};
@@ -65,11 +66,11 @@ impl Light for CapturedLight {
         Some(medium(&self.field))
     }
 
-    fn settle<'a>(&'a self, _: &LitScene<'a>, _: Limit) -> SettledLight<'a> {
+    fn settle<'a>(&'a self, _: &LitScene<'a>, _: &Among<'_>, _: Limit) -> SettledLight<'a> {
         SettledLight { indirect: Box::new(Shown(self)), walks: None, bounces: 0, converged: true }
     }
 
-    fn at_receivers(&self, _: &LitScene<'_>, _: Limit) -> Option<SettledReceivers> {
+    fn at_receivers(&self, _: &LitScene<'_>, _: &Among<'_>, _: Limit) -> Option<SettledReceivers> {
         let light = ReceiverLight { probes: self.rows.clone(), ..ReceiverLight::default() };
         Some(SettledReceivers { light, bounces: 0, converged: true })
     }

@@ -9,8 +9,8 @@ use lightkiln_proto::voxels::VoxelTable;
 
 use super::passes::{FieldPasses, IN_LATTICE, IN_TETRAHEDRA, medium};
 use crate::bake::{
-    self, DebugPage, FreeSpace, IncomingDirect, Lattice, Light, LightPasses, LitScene, Overlay, SettledLight,
-    SettledReceivers, Tetrahedra, Unshadowed, UnshadowedArrays,
+    self, Among, DebugPage, FreeSpace, IncomingDirect, Lattice, Light, LightPasses, LitScene, Overlay,
+    SettledLight, SettledReceivers, Tetrahedra, Unshadowed, UnshadowedArrays,
 };
 use crate::error::Result;
 use crate::lightmap::{LightmapLight, Lit};
@@ -132,8 +132,8 @@ impl Light for FieldLight {
         Some(medium(&self.field))
     }
 
-    fn settle<'a>(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {
-        let Lit { light, .. } = self.lightmap.settled(lit, limit);
+    fn settle<'a>(&'a self, lit: &LitScene<'a>, among: &Among<'_>, limit: Limit) -> SettledLight<'a> {
+        let Lit { light, .. } = self.lightmap.settled(lit, among, limit);
         let pages = spread(&lit.scene.lightmap, &self.lightmap.texels, &light.emit, &light.ind);
         let rows = self.rows(&light, lit.unshadowed);
         let (bounces, converged) = (light.bounces, light.converged);
@@ -146,8 +146,8 @@ impl Light for FieldLight {
         self.lightmap.incoming(lit)
     }
 
-    fn at_receivers(&self, lit: &LitScene<'_>, limit: Limit) -> Option<SettledReceivers> {
-        let settled = self.lightmap.settled(lit, limit);
+    fn at_receivers(&self, lit: &LitScene<'_>, among: &Among<'_>, limit: Limit) -> Option<SettledReceivers> {
+        let settled = self.lightmap.settled(lit, among, limit);
         let probes = self.rows(&settled.light, lit.unshadowed);
         Some(settled.at_receivers(probes))
     }

@@ -1,6 +1,6 @@
 //! E_dir on the processor; twin of `shared/light.wgsl` and `texels.wgsl`, function by function. Rectangles: `rect.rs`.
 
-use glam::{Vec2, Vec3, Vec4};
+use glam::{Affine3A, Vec2, Vec3, Vec4};
 use lightkiln_proto::content::COVERAGE_POINTS;
 use lightkiln_proto::relight::ReceiverTable;
 use rayon::prelude::*;
@@ -11,34 +11,46 @@ use crate::lights::Shape;
 use crate::passes::shadow::look_up::{FILTER_REACH, is_behind, lifted, towards, visibility};
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{Light, ShadowPlan};
+use crate::scene::turn_of;
 
 const CASCADE_GUARD: f32 = 8.0;
 const CASCADE_RIM: f32 = 0.1;
 /// Least cosine that the filter's reach along a surface grows by.
 const GRAZING_COS: f32 = 0.05;
 
-/// `E_dir` at points in metres with their normals, in W·m⁻².
-pub fn direct(positions_m: &[Vec4], normals: &[Vec4], plan: &ShadowPlan, maps: &ShadowMaps) -> Vec<Vec4> {
+/// `E_dir` at points in metres with their normals, in W·m⁻²; their space stands in that of the lights.
+pub fn direct(
+    positions_m: &[Vec4],
+    normals: &[Vec4],
+    world_from_scene: &Affine3A,
+    plan: &ShadowPlan,
+    maps: &ShadowMaps,
+) -> Vec<Vec4> {
+    let turn = turn_of(world_from_scene);
     let at = |(position, normal): (&Vec4, &Vec4)| {
-        let normal = normal.truncate();
-        direct_irradiance(plan, maps, position.truncate(), normal, normal).extend(0.0)
+        let normal = turn * normal.truncate();
+        let position = world_from_scene.transform_point3(position.truncate());
+        direct_irradiance(plan, maps, position, normal, normal).extend(0.0)
     };
     positions_m.par_iter().zip(normals).map(at).collect()
 }
 
-/// `E_dir` of receivers by slot, each the mean over the points of its texel, in W·m⁻²; twin of `texels.wgsl`.
+/// `E_dir` of receivers by slot, each the mean over the points of its texel, in W·m⁻²; their space stands in that of the lights. Twin of `texels.wgsl`.
 pub fn direct_texels(
     receivers: &ReceiverTable,
     points: &TexelPoints,
+    world_from_scene: &Affine3A,
     plan: &ShadowPlan,
     maps: &ShadowMaps,
 ) -> Vec<Vec4> {
+    let turn = turn_of(world_from_scene);
     let of_slot = |slot: usize| {
         let own = (receivers.position_m[slot].truncate(), receivers.normal[slot].truncate());
         let texel = points.of(slot, own.0);
         let mut sum = Vec3::ZERO;
         for light in &plan.lights {
             let at = |(position, normal): (Vec3, Vec3)| {
+                let (position, normal) = (world_from_scene.transform_point3(position), turn * normal);
                 light_irradiance((plan, maps), light, position, normal, normal)
             };
             sum += match texel.len() {
@@ -169,7 +181,7 @@ fn is_beyond(plan: &ShadowPlan, light: &Light, position: Vec3) -> bool {
 }
 
 /// Share of a light that arrives by one of its faces.
-pub(super) fn share_by(
+pub(in crate::passes) fn share_by(
     (plan, maps): (&ShadowPlan, &ShadowMaps),
     face: u32,
     light: &Light,
@@ -221,7 +233,7 @@ pub(super) fn cube_face(d: Vec3) -> u32 {
     if a.y >= a.z { 2 + u32::from(d.y < 0.0) } else { 4 + u32::from(d.z < 0.0) }
 }
 
-pub(super) fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
+pub(in crate::passes) fn face_of(plan: &ShadowPlan, light: &Light, position: Vec3) -> u32 {
     let d = position - Vec3::from(light.position);
     if light.shape == Shape::Sun as u32 {
         let tiles = light.face_count.isqrt();

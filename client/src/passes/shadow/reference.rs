@@ -47,6 +47,16 @@ const BAND_ROWS: usize = 128;
 
 /// Draws all faces of a plan.
 pub fn draw(scene: &LoadedScene, plan: &ShadowPlan) -> ShadowMaps {
+    draw_first(scene, plan, scene.draws.draws.len())
+}
+
+/// Likewise, of the bake's own meshes alone.
+pub fn draw_own(scene: &LoadedScene, plan: &ShadowPlan) -> ShadowMaps {
+    draw_first(scene, plan, scene.own_draws())
+}
+
+/// Likewise, of the first so many meshes.
+fn draw_first(scene: &LoadedScene, plan: &ShadowPlan, meshes: usize) -> ShadowMaps {
     let side = plan.count.side;
     let area = side as usize * side as usize;
     let count = area * plan.faces.len();
@@ -59,7 +69,7 @@ pub fn draw(scene: &LoadedScene, plan: &ShadowPlan) -> ShadowMaps {
     };
     let rows = BAND_ROWS * side as usize;
     for (index, face) in plan.faces.iter().enumerate() {
-        let set_up = |of_glass| set_up_scene(scene, face.projection(), side, of_glass);
+        let set_up = |of_glass| set_up_scene((scene, meshes), face.projection(), side, of_glass);
         let texels = index * area..(index + 1) * area;
         let depth = &mut maps.depth[texels.clone()];
         let triangles = set_up(false);
@@ -92,7 +102,12 @@ struct DrawnMesh {
     triangles: Vec<ScreenTriangle>,
 }
 
-fn set_up_scene(scene: &LoadedScene, clip_from_world: Mat4, side: u32, of_glass: bool) -> Vec<DrawnMesh> {
+fn set_up_scene(
+    (scene, meshes): (&LoadedScene, usize),
+    clip_from_world: Mat4,
+    side: u32,
+    of_glass: bool,
+) -> Vec<DrawnMesh> {
     let clip_of = projected(clip_from_world);
     let set_up_draw = |(draw, mesh): (usize, &LoadedDraw)| {
         let clip = |index: u32| clip_of(mesh.vertices[index as usize].position_m);
@@ -102,7 +117,7 @@ fn set_up_scene(scene: &LoadedScene, clip_from_world: Mat4, side: u32, of_glass:
         }
         DrawnMesh { draw, triangles }
     };
-    let draws = scene.draws.draws.par_iter().enumerate();
+    let draws = scene.draws.draws[..meshes].par_iter().enumerate();
     draws.filter(|(_, mesh)| scene.glass_of(mesh).is_some() == of_glass).map(set_up_draw).collect()
 }
 

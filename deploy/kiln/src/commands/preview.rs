@@ -48,7 +48,7 @@ pub struct Arguments {
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     arguments.picture.check()?;
     check_png(&arguments.out)?;
-    let reel = arguments.reel.read(&arguments.lighting)?;
+    let reel = arguments.reel.read(&arguments.lighting, &kinds.client)?;
     if let Some(path) = &reel.path {
         arguments.picture.check_beside(path)?;
     }

@@ -57,7 +57,8 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     look.check()?;
     screenshot.as_deref().map_or(Ok(()), check_png)?;
     let errors = errors.as_deref().map(MeasuredErrors::read).transpose()?;
-    let objects = object.iter().map(ObjectArgument::read).collect::<Result<_>>()?;
+    let beside = |object: &ObjectArgument| object.beside(&kinds.client);
+    let objects = object.iter().map(beside).collect::<Result<_>>()?;
     let (subject, view, notes) =
         look.opened(&source.open()?, &kinds.client, &lighting, objects, max_memory)?;
     let view = View { objects: object.iter().map(|object| object.stance).collect(), ..view };

@@ -104,8 +104,14 @@ fn settled(
     bounces_max: u32,
 ) -> Settled {
     let dir = lamps(transport);
-    let incoming =
-        Incoming { dir: &dir, near: &[], sky: Default::default(), panorama: None, emitter_scale: &[] };
+    let incoming = Incoming {
+        dir: &dir,
+        near: &[],
+        sky: Default::default(),
+        panorama: None,
+        emitter_scale: &[],
+        ..Incoming::default()
+    };
     transport.settle_in(&Serial, &incoming, Limit { bounces_max, change_max: 1e-6 }, detail)
 }
 

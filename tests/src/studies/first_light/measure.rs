@@ -345,6 +345,7 @@ pub(super) fn settled(
                 sky,
                 panorama: lighting.panorama.as_deref(),
                 emitter_scale: &emitter_scale,
+                ..Incoming::default()
             },
             LIMIT,
         )

@@ -107,7 +107,7 @@ impl Expected {
         };
         let lod = self.lod_plan(&self.light, &view);
         let lit = LitScene { scene: &self.scene, plan: &plan, maps: &maps, unshadowed, lod: lod.as_ref() };
-        let settled = self.light.settled(&lit, LIMIT).light;
+        let settled = self.light.settled(&lit, &Default::default(), LIMIT).light;
         assert!(settled.converged);
         [settled.ind, self.radiance(&view, Backend::Cpu)]
     }

@@ -233,7 +233,7 @@ pub(super) fn edited(before: &Source, after: &Source) -> Result<Edited> {
     light.transport.walked = WalkedTable::new(all, WALK_WEIGHT, &light.transport.near)
         .map_err(|Inconsistent { place, problem }| ClientError::inconsistent(place, problem))?;
     light.voxels = is.light.voxels;
-    Ok(Edited { bake: LoadedBake { scene: is.scene.into(), light: Box::new(light) }, provisional })
+    Ok(Edited { bake: LoadedBake::new(is.scene, Box::new(light)), provisional })
 }
 
 /// The part with the greatest share.

@@ -16,7 +16,7 @@ use super::base::{Base, bytes_of};
 use super::memory::{rung_memory, voxel_memory};
 use super::one_of;
 use super::only::{names, only};
-use crate::bake::{Light, LightStream, LitScene, ReceiverLight};
+use crate::bake::{Among, Light, LightStream, LitScene, ReceiverLight};
 use crate::error::{ClientError, Result};
 use crate::fetch::{Came, Layers, Source, decoded, decoded_layers, is_lost, parallel};
 use crate::lightmap::LightmapLight;
@@ -351,7 +351,9 @@ impl PrtStream {
 
 /// Light of receivers, but for direct light.
 fn places(light: &dyn Light, lit: &LitScene<'_>, limit: Limit) -> Vec<Lit> {
-    let Some((settled, lightmap)) = light.at_receivers(lit, limit).zip(light.lightmap(lit.scene)) else {
+    let Some((settled, lightmap)) =
+        light.at_receivers(lit, &Among::default(), limit).zip(light.lightmap(lit.scene))
+    else {
         return Vec::new();
     };
     let ReceiverLight { emit, indirect, .. } = settled.light;

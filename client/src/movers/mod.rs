@@ -1,0 +1,236 @@
+//! A bake with objects that have bakes of their own, on the processor: each is lit by the bake around it, and changes the light of the bake and
+//! of the others, until nothing changes any more (METHOD.md §2.17).
+
+use std::sync::Arc;
+
+use glam::{Affine3A, Vec3, Vec4};
+use lightkiln_proto::relight::Limit;
+use lightkiln_proto::transfer::{Standing, Surroundings, TransferTable};
+use rayon::prelude::*;
+
+use crate::bake::{Among, LitScene, LoadedBake, Mover, SettledLight, SettledReceivers, Unshadowed};
+use crate::error::Result;
+use crate::passes::shade::{IndirectIrradiance, ShadeView, Surface};
+use crate::passes::transfer::reference::{Effect, Sight, change};
+use crate::scene::Stance;
+
+/// Times that light goes to and fro between a bake and its objects, at most: each brings a share of an object's albedo times that of its
+/// surroundings times what it fills of their view.
+const ROUNDS_MAX: usize = 6;
+/// Change of E_ind by a round, as a share of it, that ends them.
+const CHANGE_MAX: f64 = 1e-3;
+
+/// Objects of a bake where they stand.
+pub struct Standings<'a> {
+    bake: &'a LoadedBake,
+    placed: Vec<Placed<'a>>,
+}
+
+/// One of them.
+struct Placed<'a> {
+    mover: &'a Mover,
+    volume: &'a TransferTable,
+    world_from_object: Affine3A,
+    sight: Sight,
+}
+
+/// Light of an object.
+struct Lit<'a> {
+    indirect: Box<dyn IndirectIrradiance + 'a>,
+    surroundings: Arc<Surroundings>,
+    /// By level and part.
+    radiance: Arc<Vec<Vec<Vec3>>>,
+}
+
+impl<'a> Standings<'a> {
+    /// Where stances have them.
+    pub fn new(bake: &'a LoadedBake, stances: &[Stance]) -> Result<Self> {
+        let placed = bake.movers.iter().filter_map(|mover| Some((mover, mover.bake.light.volume()?)));
+        let placed = placed.map(|(mover, volume)| {
+            let world_from_object = mover.world_from_object(stances);
+            let sight = Sight::from(&bake.scene, world_from_object.transform_point3(volume.middle_m()))?;
+            Ok(Placed { mover, volume, world_from_object, sight })
+        });
+        Ok(Self { bake, placed: placed.collect::<Result<_>>()? })
+    }
+
+    /// Light after the last bounce of all.
+    pub fn settle(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {
+        let Self { bake, placed } = self;
+        let mut settled = bake.light.settle(lit, &Among::default(), limit);
+        if placed.is_empty() {
+            return settled;
+        }
+        let mut moved_before = Moved::default();
+        for _ in 0..ROUNDS_MAX {
+            let lights = self.light_objects(lit, &settled, &moved_before, limit);
+            let effects = effects(placed, &lights);
+            let moved = self.moved(&effects);
+            let is_last = moved.change_from(&moved_before) < CHANGE_MAX;
+            let among = Among { moved: Some(&moved.statics), ..Among::default() };
+            let next = bake.light.settle(lit, &among, limit);
+            settled = SettledLight { converged: next.converged && settled.converged, ..next };
+            moved_before = moved;
+            if is_last {
+                break;
+            }
+        }
+        let lights = self.light_objects(lit, &settled, &moved_before, limit);
+        let SettledLight { indirect, walks, bounces, converged } = settled;
+        let effects = effects(placed, &lights);
+        let lights = lights.into_iter().map(|light| light.indirect).collect();
+        let with = WithObjects { indirect, placed, lights, effects };
+        SettledLight { indirect: Box::new(with), walks, bounces, converged }
+    }
+
+    /// Light at the bake's own receivers, E_ind with what objects give and take; `None` for a kind without receivers.
+    pub fn at_receivers(&'a self, lit: &LitScene<'a>, limit: Limit) -> Option<SettledReceivers> {
+        let Self { bake, placed } = self;
+        if placed.is_empty() {
+            return bake.light.at_receivers(lit, &Among::default(), limit);
+        }
+        let mut settled = bake.light.settle(lit, &Among::default(), limit);
+        let mut moved = Moved::default();
+        for _ in 0..ROUNDS_MAX {
+            let lights = self.light_objects(lit, &settled, &moved, limit);
+            let next = self.moved(&effects(placed, &lights));
+            let is_last = next.change_from(&moved) < CHANGE_MAX;
+            moved = next;
+            if is_last {
+                break;
+            }
+            let among = Among { moved: Some(&moved.statics), ..Among::default() };
+            settled = bake.light.settle(lit, &among, limit);
+        }
+        let among = Among { moved: Some(&moved.statics), ..Among::default() };
+        let mut found = bake.light.at_receivers(lit, &among, limit)?;
+        let own = found.light.indirect.iter_mut().zip(&found.light.emit).zip(&moved.statics);
+        own.for_each(|((indirect, emit), moved)| *indirect = (*indirect + *moved).max(-*emit));
+        Some(found)
+    }
+
+    /// Each object in the light around it.
+    fn light_objects(
+        &'a self,
+        lit: &LitScene<'a>,
+        settled: &SettledLight<'_>,
+        moved: &Moved,
+        limit: Limit,
+    ) -> Vec<Lit<'a>> {
+        let walked = settled.walks.as_ref().map(crate::bake::SettledWalks::light);
+        let of = |(index, placed): (usize, &'a Placed<'a>)| {
+            let Placed { mover, volume, world_from_object, .. } = placed;
+            let among = Among { world_from_scene: *world_from_object, ..Among::default() };
+            let middle_m = world_from_object.transform_point3(volume.middle_m());
+            let parts = mover.bake.light.voxels().map_or(0, |(_, patches)| patches.sky_parts);
+            let surroundings = Arc::new(match &walked {
+                Some(light) => Surroundings::walked(light, middle_m, among.turn(), parts),
+                None => Surroundings::new(parts, |_| Vec3::ZERO),
+            });
+            let own = moved.objects.get(index).map(Vec::as_slice);
+            let among = Among { around: Some(surroundings.radiance()), moved: own, ..among };
+            let unshadowed = Unshadowed { emitter_scale: &[], panorama: None, ..lit.unshadowed };
+            let of_object = LitScene { scene: &mover.bake.scene, unshadowed, lod: None, ..*lit };
+            let SettledLight { indirect, walks, .. } = mover.bake.light.settle(&of_object, &among, limit);
+            let radiance = walks
+                .as_ref()
+                .map(|walks| volume.radiance(&walks.lambda, &walks.emitters))
+                .unwrap_or_default();
+            Lit { indirect, surroundings, radiance: Arc::new(radiance) }
+        };
+        self.placed.iter().enumerate().map(of).collect()
+    }
+
+    /// `Σ v ΔE` at the receivers of the bake and of the objects.
+    fn moved(&self, effects: &[Effect<'_>]) -> Moved {
+        let at = |bake: &LoadedBake, but: Option<usize>, place: Affine3A| {
+            let turn = Among { world_from_scene: place, ..Among::default() }.turn();
+            let Some(lightmap) = bake.light.lightmap(&bake.scene) else { return Vec::new() };
+            let receivers = lightmap.receivers.position_m.par_iter().zip(&lightmap.receivers.normal);
+            let at = |(at_m, normal): (&Vec4, &Vec4)| {
+                let normal = turn * normal.truncate();
+                change(effects, but, place.transform_point3(at_m.truncate()), normal, normal).extend(0.0)
+            };
+            receivers.map(at).collect()
+        };
+        let of_object = |(index, placed): (usize, &Placed<'_>)| {
+            at(&placed.mover.bake, Some(index), placed.world_from_object)
+        };
+        Moved {
+            statics: at(self.bake, None, Affine3A::IDENTITY),
+            objects: self.placed.iter().enumerate().map(of_object).collect(),
+        }
+    }
+}
+
+fn effects<'b>(placed: &'b [Placed<'_>], lights: &[Lit<'_>]) -> Vec<Effect<'b>> {
+    let of = |(placed, light): (&'b Placed<'_>, &Lit<'_>)| {
+        let Placed { volume, world_from_object, sight, .. } = placed;
+        let (radiance, surroundings) = (light.radiance.clone(), light.surroundings.clone());
+        Effect { standing: Standing::new(volume, *world_from_object, radiance, surroundings), sight }
+    };
+    placed.iter().zip(lights).map(of).collect()
+}
+
+/// `Σ v ΔE` by slot, W·m⁻².
+#[derive(Clone, Debug, Default)]
+struct Moved {
+    /// Of the bake.
+    statics: Vec<Vec4>,
+    /// Of each object, by the others.
+    objects: Vec<Vec<Vec4>>,
+}
+
+impl Moved {
+    /// Relative change.
+    fn change_from(&self, before: &Self) -> f64 {
+        if before.statics.len() != self.statics.len() {
+            return f64::INFINITY;
+        }
+        let (mut difference, mut total) = (0.0, 0.0);
+        let all = self.statics.iter().chain(self.objects.iter().flatten());
+        for (now, before) in all.zip(before.statics.iter().chain(before.objects.iter().flatten())) {
+            difference += f64::from((*now - *before).abs().element_sum());
+            total += f64::from(now.abs().element_sum());
+        }
+        if total > 0.0 { difference / total } else { difference }
+    }
+}
+
+/// Light of a bake and of the objects in it.
+struct WithObjects<'a> {
+    indirect: Box<dyn IndirectIrradiance + 'a>,
+    placed: &'a [Placed<'a>],
+    /// Of each object.
+    lights: Vec<Box<dyn IndirectIrradiance + 'a>>,
+    effects: Vec<Effect<'a>>,
+}
+
+impl IndirectIrradiance for WithObjects<'_> {
+    fn prepare_view(&mut self, view: &ShadeView, size: [u32; 2]) {
+        self.indirect.prepare_view(view, size);
+        self.lights.iter_mut().for_each(|light| light.prepare_view(view, size));
+    }
+
+    fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
+        let draw = surface.draw as usize;
+        let own = self.placed.iter().position(|placed| {
+            let [first, end] = placed.mover.draws;
+            (first..end).contains(&draw)
+        });
+        let light = match own {
+            None => self.indirect.indirect_irradiance(surface),
+            Some(index) => {
+                let first = self.placed[index].mover.draws[0] as u32;
+                let of_object = Surface { draw: surface.draw - first, ..*surface };
+                self.lights[index].indirect_irradiance(&of_object)
+            }
+        };
+        let moved = change(&self.effects, own, surface.position, surface.towards, surface.facet);
+        (light + moved).max(Vec3::ZERO)
+    }
+
+    fn mean_radiance(&self, point: Vec3) -> Vec3 {
+        self.indirect.mean_radiance(point)
+    }
+}

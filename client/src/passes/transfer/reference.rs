@@ -1,0 +1,69 @@
+//! Change of irradiance by objects, on the processor.
+
+use glam::Vec3;
+use lightkiln_proto::transfer::Standing;
+
+use crate::error::Result;
+use crate::lights::{Caster, Shape};
+use crate::passes::direct::reference::face_of;
+use crate::passes::direct::reference::share_by;
+use crate::passes::shadow::ShadowPlan;
+use crate::passes::shadow::reference::{ShadowMaps, draw_own};
+use crate::scene::LoadedScene;
+
+/// Texels along a side of the shadow cube at an object's middle. More → sharper ends of its effect at edges of walls.
+const CUBE_SIDE: u32 = 64;
+
+/// Surfaces of a bake that an object's middle sees.
+#[derive(Clone, Debug)]
+pub struct Sight {
+    plan: ShadowPlan,
+    maps: ShadowMaps,
+}
+
+/// An object where it stands, and what is in its sight.
+#[derive(Clone, Debug)]
+pub struct Effect<'a> {
+    /// The object in its light.
+    pub standing: Standing<'a>,
+    /// Sight from its middle.
+    pub sight: &'a Sight,
+}
+
+impl Sight {
+    /// From a point, past the bake's own surfaces alone.
+    pub fn from(scene: &LoadedScene, middle_m: Vec3) -> Result<Self> {
+        let caster = Caster {
+            position: middle_m,
+            direction: -Vec3::Y,
+            strength: Vec3::ONE,
+            range: 0.0,
+            cone: [0.0; 2],
+            half_u_m: Vec3::ZERO,
+            half_v_m: Vec3::ZERO,
+            cells: [0; 2],
+            shape: Shape::Point,
+        };
+        let plan = ShadowPlan::new(&[caster], scene.manifest.bounds_m, CUBE_SIDE, None)?;
+        let maps = draw_own(scene, &plan);
+        Ok(Self { plan, maps })
+    }
+
+    /// Share of a point of a surface that is in sight: v.
+    pub fn share(&self, at_m: Vec3, facet: Vec3) -> f32 {
+        let light = &self.plan.lights[0];
+        share_by((&self.plan, &self.maps), face_of(&self.plan, light, at_m), light, at_m, facet)
+    }
+}
+
+/// `Σ v ΔE` of all objects but one at a surface, W·m⁻².
+pub fn change(effects: &[Effect<'_>], but: Option<usize>, at_m: Vec3, normal: Vec3, facet: Vec3) -> Vec3 {
+    let of = |(index, effect): (usize, &Effect<'_>)| {
+        if but == Some(index) || !effect.standing.reaches(at_m) {
+            return Vec3::ZERO;
+        }
+        let change = effect.standing.change(at_m, normal);
+        if change == Vec3::ZERO { change } else { change * effect.sight.share(at_m, facet) }
+    };
+    effects.iter().enumerate().map(of).sum()
+}

@@ -1,0 +1,30 @@
+//! Transfer volumes: what each part of an object covers, as seen from the points around it (\[Giuffrida2016\] stores light instead). A moving
+//! object then changes the irradiance of what is near it: its own radiance comes in place of what it hides.
+//!
+//! ```text
+//! F_p(x) = ∫ ω dω, Ω_p(x) = ∫ dω     over the directions in which x sees part p of the object first
+//! ΔE(x, n) = v Σ_p (n·F_p)₊ (λ_p − L_p)
+//! ```
+//! λ_p is the mean radiance of the part, L_p that of the directions which it hides, and v whether x is seen from the object. F_p and Ω_p hang
+//! on shape alone: no light, no colour and no place in a scene is in them.
+
+mod chunk;
+mod content;
+mod lattice;
+mod surroundings;
+mod table;
+
+#[cfg(test)]
+mod tests;
+
+pub use chunk::{ROW, TRANSFER_CHUNK, decode_transfer, encode_transfer};
+pub use content::{
+    GLOWS_MAX, LEVELS, NODES_MAX, NODES_MIN, PARTS_MAX, PATCHES_MAX, PartGlow, PartPatch, TransferLevel,
+    TransferPart, node_codes,
+};
+pub use lattice::{Axis, FADE_H, Lattice, REACH_H};
+pub use surroundings::{Surroundings, WALK_TANGENT};
+pub use table::{Covered, Standing, TransferTable};
+
+/// Role of the chunks of volumes, the coarsest first.
+pub const TRANSFER: &str = "transfer";

@@ -1,0 +1,225 @@
+//! A volume at run time: what of an object is seen from a point, and what that changes.
+
+use std::f32::consts::TAU;
+use std::sync::Arc;
+
+use glam::{Affine3A, Mat3, Vec3, Vec4};
+
+use super::content::{LEVELS, TransferLevel, TransferPart};
+use super::lattice::{FADE_H, Lattice, REACH_H, half_side_m};
+use super::surroundings::Surroundings;
+use crate::relight::{Inconsistent, PatchTable};
+
+/// Share of a level's half side from which on it blends into the next.
+const BLEND_FROM: f32 = 0.9;
+/// Least half angle of a part's cap, in radians.
+const CAP_MIN_RAD: f32 = 0.2;
+/// Half width of a cap's rim, in cosine.
+const RIM: f32 = 0.06;
+
+/// The volume of an object.
+#[derive(Clone, Debug, Default)]
+pub struct TransferTable {
+    levels: Vec<(TransferLevel, Lattice)>,
+    /// Numbers of each part's patches, with their shares, by level.
+    patches: Vec<Vec<Vec<(u32, f32)>>>,
+    middle_m: Vec3,
+    h_m: f32,
+}
+
+/// One part of an object as a point sees it, in the object's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Covered {
+    /// Level of the part.
+    pub level: usize,
+    /// Its number there.
+    pub part: usize,
+    /// F_p.
+    pub vector: Vec3,
+    /// Ω_p in steradians.
+    pub solid_angle: f32,
+}
+
+/// An object where it stands, in its light.
+#[derive(Clone, Debug)]
+pub struct Standing<'a> {
+    table: &'a TransferTable,
+    object_from_world: Affine3A,
+    /// Of directions.
+    turn_back: Mat3,
+    /// Mean radiance of each part, by level, W·m⁻²·sr⁻¹.
+    radiance: Arc<Vec<Vec<Vec3>>>,
+    surroundings: Arc<Surroundings>,
+}
+
+impl TransferTable {
+    /// Of all levels, in any order, over the patches that they name.
+    pub fn new(mut levels: Vec<TransferLevel>, patches: &PatchTable) -> Result<Self, Inconsistent> {
+        levels.sort_by_key(|level| level.level);
+        if !levels.iter().map(|level| level.level).eq(0..LEVELS) {
+            let found: Vec<u32> = levels.iter().map(|level| level.level).collect();
+            return Err(Inconsistent::new(
+                "transfer",
+                format!("has levels {found:?}, wanted 0 to {}", LEVELS - 1),
+            ));
+        }
+        let box_m = levels[0].box_m;
+        let mut table = Self { h_m: half_side_m(box_m), ..Self::default() };
+        table.middle_m = 0.5 * (Vec3::from(box_m[0]) + Vec3::from(box_m[1]));
+        for level in levels {
+            let named =
+                |problem: String| Inconsistent::new(format!("transfer level {}", level.level), problem);
+            if level.box_m != box_m {
+                return Err(named("is of an object of other bounds".to_owned()));
+            }
+            let numbers = |part: &TransferPart| {
+                let number = |patch: &super::PartPatch| {
+                    let number = patches.number(patch.key);
+                    number
+                        .map(|number| (number, patch.share))
+                        .ok_or_else(|| named(format!("names no patch {:x}", patch.key.0)))
+                };
+                part.patches.iter().map(number).collect::<Result<Vec<_>, _>>()
+            };
+            table.patches.push(level.parts.iter().map(numbers).collect::<Result<_, _>>()?);
+            let lattice = Lattice::new(level.box_m, level.level, level.nodes);
+            table.levels.push((level, lattice));
+        }
+        Ok(table)
+    }
+
+    /// Middle of the object in its own space, in metres.
+    pub fn middle_m(&self) -> Vec3 {
+        self.middle_m
+    }
+
+    /// H: half of the object's largest side, in metres.
+    pub fn half_side_m(&self) -> f32 {
+        self.h_m
+    }
+
+    /// Lower and upper corner of the object in its own space, in metres.
+    pub fn box_m(&self) -> [[f32; 3]; 2] {
+        self.levels.first().map_or([[0.0; 3]; 2], |(level, _)| level.box_m)
+    }
+
+    /// Bytes of its codes.
+    pub fn resident_bytes(&self) -> usize {
+        self.levels.iter().map(|(level, _)| 4 * level.codes.len()).sum()
+    }
+
+    /// Mean radiance of each part by level, of λ as the object's patches have it, and of the radiance of its emitters, W·m⁻²·sr⁻¹.
+    pub fn radiance(&self, lambda: &[Vec4], emitters: &[Vec3]) -> Vec<Vec<Vec3>> {
+        let of_level = |((level, _), patches): (&(TransferLevel, Lattice), &Vec<Vec<(u32, f32)>>)| {
+            let of_part = |(part, patches): (&TransferPart, &Vec<(u32, f32)>)| {
+                let reflected = patches.iter().map(|(patch, share)| {
+                    lambda.get(*patch as usize).map_or(Vec3::ZERO, |light| light.truncate()) * *share
+                });
+                let emitted = part.glows.iter().map(|glow| {
+                    let emitter = emitters.get(usize::from(glow.emitter)).copied().unwrap_or_default();
+                    emitter * Vec3::from(glow.share)
+                });
+                reflected.sum::<Vec3>() + emitted.sum::<Vec3>()
+            };
+            level.parts.iter().zip(patches).map(of_part).collect()
+        };
+        self.levels.iter().zip(&self.patches).map(of_level).collect()
+    }
+
+    /// Weight of the object's effect on a point in its frame: 1 near it, 0 from [`REACH_H`] on.
+    pub fn fade(&self, at_m: Vec3) -> f32 {
+        let distance = (at_m - self.middle_m).abs().max_element() / self.h_m.max(f32::MIN_POSITIVE);
+        let t = ((distance - FADE_H) / (REACH_H - FADE_H)).clamp(0.0, 1.0);
+        (2.0 * t - 3.0) * t * t + 1.0
+    }
+
+    /// Calls `found` with each part that a point in the object's frame sees, and its weight: those of two levels where they blend. Parts of which
+    /// the point lies behind the plane are none.
+    pub fn covered(&self, at_m: Vec3, mut found: impl FnMut(Covered, f32)) {
+        let distance_m = (at_m - self.middle_m).abs().max_element();
+        let Some(finest) = self.levels.iter().position(|(_, lattice)| distance_m < lattice.half_m) else {
+            return;
+        };
+        let share = distance_m / self.levels[finest].1.half_m;
+        let blend = ((share - BLEND_FROM) / (1.0 - BLEND_FROM)).clamp(0.0, 1.0);
+        let coarser = if finest + 1 < self.levels.len() { blend } else { 0.0 };
+        for (level, weight) in [(finest, 1.0 - coarser), (finest + 1, coarser)] {
+            if weight > 0.0 {
+                self.covered_in(level, at_m, |part| found(part, weight));
+            }
+        }
+    }
+
+    /// Calls `found` with each part of a level that a point sees.
+    fn covered_in(&self, index: usize, at_m: Vec3, mut found: impl FnMut(Covered)) {
+        let (level, lattice) = &self.levels[index];
+        let (first, share) = lattice.around(at_m);
+        for (number, part) in level.parts.iter().enumerate() {
+            let [x, y, z, offset] = part.plane;
+            if Vec3::new(x, y, z).dot(at_m) < offset {
+                continue;
+            }
+            let codes = level.codes_of(number);
+            let mut sum = Vec4::ZERO;
+            for corner in 0..8_u32 {
+                let bit = |axis: u32| corner >> axis & 1;
+                let weight: f32 = (0..3)
+                    .map(
+                        |axis| if bit(axis) == 1 { share[axis as usize] } else { 1.0 - share[axis as usize] },
+                    )
+                    .product();
+                let [x, y, z] = [0, 1, 2].map(|axis| first[axis as usize] + bit(axis));
+                let node = (z * level.nodes + y) * level.nodes + x;
+                sum += weight * Vec4::from_array(codes[node as usize].map(f32::from));
+            }
+            let [of_vector, of_angle] = part.steps;
+            let (vector, solid_angle) = (sum.truncate() * of_vector, sum.w * of_angle);
+            if solid_angle > 0.0 {
+                found(Covered { level: index, part: number, vector, solid_angle });
+            }
+        }
+    }
+}
+
+impl<'a> Standing<'a> {
+    /// An object at a place, of uniform scale, whose parts have such radiance, in such surroundings.
+    pub fn new(
+        table: &'a TransferTable,
+        world_from_object: Affine3A,
+        radiance: Arc<Vec<Vec<Vec3>>>,
+        surroundings: Arc<Surroundings>,
+    ) -> Self {
+        let object_from_world = world_from_object.inverse();
+        let turn = Mat3::from(object_from_world.matrix3);
+        let scale = turn.x_axis.length().max(f32::MIN_POSITIVE);
+        Self { table, object_from_world, turn_back: turn * scale.recip(), radiance, surroundings }
+    }
+
+    /// Whether its effect reaches a point.
+    pub fn reaches(&self, at_m: Vec3) -> bool {
+        self.table.fade(self.object_from_world.transform_point3(at_m)) > 0.0
+    }
+
+    /// ΔE at a point about a normal in W·m⁻², without walls between.
+    pub fn change(&self, at_m: Vec3, normal: Vec3) -> Vec3 {
+        let (at_m, normal) = (self.object_from_world.transform_point3(at_m), self.turn_back * normal);
+        let fade = self.table.fade(at_m);
+        if fade <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let mut sum = Vec3::ZERO;
+        self.table.covered(at_m, |Covered { level, part, vector, solid_angle }, weight| {
+            let received = normal.dot(vector);
+            if received > 0.0 {
+                let hidden = self.surroundings.mean(vector.normalize_or_zero(), cap_cosine(solid_angle), RIM);
+                sum += weight * received * (self.radiance[level][part] - hidden);
+            }
+        });
+        fade * sum
+    }
+}
+
+/// Cosine of the half angle of a cap of that solid angle.
+fn cap_cosine(solid_angle: f32) -> f32 {
+    (1.0 - solid_angle / TAU).clamp(-1.0, libm::cosf(CAP_MIN_RAD))
+}

@@ -1,0 +1,199 @@
+//! Objects that move through a bake, held against paths traced with the object in place: error of indirect light near it and everywhere, beside
+//! the object ignored.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use glam::{Affine3A, DVec3, EulerRot, Quat, Vec3, Vec4};
+use lightkiln_client::bake::{Beside, LoadedBake};
+use lightkiln_client::fetch::Source;
+use lightkiln_client::kinds;
+use lightkiln_client::preview::{Backend, light_receivers_among};
+use lightkiln_client::scene::Stance;
+use lightkiln_worker::evaluate::{TestLight, default_lights};
+use lightkiln_worker::geometry::{Geometry, Site};
+use lightkiln_worker::reference::{Precision, Reference, luminance};
+use lightkiln_worker::scene::model::Scene;
+use lightkiln_worker::scene::{self, Bundle, Limits};
+use lightkiln_worker::task::Progress;
+
+use crate::harness::{Recipe, bake};
+
+/// Radii of an object within which its surroundings are near.
+const NEAR_RADII: f32 = 3.0;
+/// Sites near an object, and elsewhere.
+const SITES: [usize; 2] = [400, 200];
+
+/// An object in a scene.
+pub struct Setting {
+    /// Bundle of the scene.
+    pub scene: Vec<u8>,
+    /// Bundle of the object.
+    pub object: Vec<u8>,
+    /// Where it stands.
+    pub stance: Stance,
+    /// Settings of both bakes.
+    pub settings: serde_json::Value,
+    /// Standard error of the reference.
+    pub rel_error: f64,
+}
+
+/// Errors under one light, as shares of the mean near the object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Errors {
+    /// Of the bake with the object near it, and over all.
+    pub with_object: [f64; 2],
+    /// Where indirect light ignores it.
+    pub ignored: [f64; 2],
+    /// Of the reference's own noise near the object.
+    pub noise: f64,
+    /// Mean of the bake over that of the reference near the object.
+    pub energy: f64,
+}
+
+/// Errors by light.
+pub type Measured = Vec<(TestLight, Errors)>;
+
+fn imported(bundle: &[u8]) -> Result<Scene> {
+    let opened = Bundle::from_bytes(bundle.to_vec(), &Limits::default())?;
+    Ok(scene::import(&opened, &Limits::default())?.scene)
+}
+
+fn loaded(bundle: Vec<u8>, kind: &'static str, settings: &serde_json::Value) -> Result<LoadedBake> {
+    let made = bake(bundle, &Recipe { kind, settings: settings.clone() })?;
+    let folder = tempfile::tempdir()?;
+    made.write(folder.path())?;
+    Ok(LoadedBake::load(&Source::bundle(folder.path())?, &kinds::all())?)
+}
+
+/// Place of a stance.
+pub fn place_of(stance: &Stance) -> Affine3A {
+    let [yaw, pitch, roll] = stance.turn_deg.map(f32::to_radians);
+    let turn = Quat::from_euler(EulerRot::YXZ, yaw, pitch, roll);
+    Affine3A::from_scale_rotation_translation(Vec3::splat(stance.scale), turn, stance.position_m.into())
+}
+
+/// Bakes scene and object and measures under the scene's own choice of lights.
+pub fn measured(setting: &Setting) -> Result<Measured> {
+    let statics = imported(&setting.scene)?;
+    let object = imported(&setting.object)?;
+    let place = place_of(&setting.stance);
+    let alone = Geometry::new(statics.clone())?;
+    let together = Geometry::new(statics.with_object(&object, &place))?;
+    let mut settings = setting.settings.clone();
+    let of_object = Arc::new(loaded(setting.object.clone(), "transfer", &settings)?);
+    settings["voxels"] = "on".into();
+    let mut with = loaded(setting.scene.clone(), "prt", &settings)?;
+    let folderless = of_object.scene.manifest.bounds_m.map(Vec3::from);
+    let mut without = LoadedBake::new(Arc::clone(&with.scene), with.light);
+    with =
+        LoadedBake::new(Arc::clone(&without.scene), loaded(setting.scene.clone(), "prt", &settings)?.light);
+    with.put(Beside::Baked { name: "object".to_owned(), bake: Arc::clone(&of_object) })?;
+    without.put(Beside::meshes_of(&of_object, "object"))?;
+    let middle_m = place.transform_point3(0.5 * (folderless[0] + folderless[1]));
+    let radius_m = 0.5 * (folderless[1] - folderless[0]).length() * setting.stance.scale;
+    let sites = sites(&with, &together, middle_m, radius_m)?;
+    let mut found = Vec::new();
+    for chosen in default_lights(&alone).lights {
+        let reference = Reference::new(&together, &chosen.lighting)?;
+        let precision = Precision { rel_error: setting.rel_error, paths_max: 1 << 15 };
+        let places: Vec<Site> = sites.iter().map(|(_, site, _)| *site).collect();
+        let truth = reference.irradiance(&places, &precision, &Progress::new()).context("cancelled")?;
+        let emitters = vec![chosen.lighting.emitter_scale; with.scene.manifest.emitters.len()];
+        let lit = |bake: &LoadedBake| -> Result<Vec<DVec3>> {
+            let (lights, panorama) = (chosen.lighting.lights.clone(), chosen.lighting.panorama.clone());
+            let stances = [setting.stance];
+            let lit =
+                light_receivers_among(bake, lights, panorama, emitters.clone(), &stances, Backend::Cpu)?;
+            let light = lit.settled.light;
+            let of = |(slot, ..): &(usize, Site, bool)| {
+                let sum: Vec4 = light.indirect[*slot] + light.emit[*slot];
+                sum.truncate().as_dvec3()
+            };
+            Ok(sites.iter().map(of).collect())
+        };
+        let (ours, ignored) = (lit(&with)?, lit(&without)?);
+        let error = |found: &[DVec3], is_wanted: &dyn Fn(bool) -> bool| {
+            let (mut squares, mut total, mut own, mut noise, mut count) = (0.0, 0.0, 0.0, 0.0, 0.0);
+            for (((_, _, is_near), found), truth) in sites.iter().zip(found).zip(&truth) {
+                if is_wanted(*is_near) {
+                    let wanted = truth.indirect.mean;
+                    squares += luminance((*found - wanted).abs()).powi(2);
+                    noise += truth.indirect.luminance_error.powi(2);
+                    total += luminance(wanted);
+                    own += luminance(*found);
+                    count += 1.0;
+                }
+            }
+            let mean = total / count;
+            [(squares / count).sqrt() / mean, own / total, (noise / count).sqrt() / mean]
+        };
+        let (near, all) = (|is_near: bool| is_near, |_: bool| true);
+        let [of_near, energy, noise] = error(&ours, &near);
+        let errors = Errors {
+            with_object: [of_near, error(&ours, &all)[0]],
+            ignored: [error(&ignored, &near)[0], error(&ignored, &all)[0]],
+            noise,
+            energy,
+        };
+        found.push((chosen, errors));
+    }
+    Ok(found)
+}
+
+/// Receivers with their slots: near the object and elsewhere, evenly chosen; none within it.
+fn sites(
+    bake: &LoadedBake,
+    together: &Geometry,
+    middle_m: Vec3,
+    radius_m: f32,
+) -> Result<Vec<(usize, Site, bool)>> {
+    let lightmap = bake.light.lightmap(&bake.scene).context("the bake has no lightmap")?;
+    let receivers = lightmap.receivers;
+    let site = |slot: usize| {
+        let [position_m, normal] = [receivers.position_m[slot].truncate(), receivers.normal[slot].truncate()];
+        Site { position_m, normal, face_normal: normal }
+    };
+    let is_free = |slot: usize| {
+        let Site { position_m, normal, .. } = site(slot);
+        !lightkiln_worker::kinds::field::is_inside(together, together.lifted(position_m, normal))
+    };
+    let is_near = |slot: usize| site(slot).position_m.distance(middle_m) < NEAR_RADII * radius_m;
+    let mut chosen = Vec::new();
+    for (count, near) in SITES.into_iter().zip([true, false]) {
+        let all: Vec<usize> = (0..receivers.len()).filter(|slot| is_near(*slot) == near).collect();
+        let step = (all.len() / count).max(1);
+        let some = all.into_iter().step_by(step).filter(|slot| is_free(*slot));
+        chosen.extend(some.map(|slot| (slot, site(slot), near)));
+    }
+    Ok(chosen)
+}
+
+/// A table in Markdown of one setting, measured.
+pub fn table(name: &str, found: &Measured) -> Result<String> {
+    let mut page = String::new();
+    for (light, Errors { with_object, ignored, noise, energy }) in found {
+        writeln!(
+            page,
+            "| {name} | {} | {:.1} | {:.1} | {:.2} | {:.1} | {:.1} | {energy:.3} | {:.1} |",
+            light.name,
+            100.0 * with_object[0],
+            100.0 * ignored[0],
+            with_object[0] / ignored[0],
+            100.0 * with_object[1],
+            100.0 * ignored[1],
+            100.0 * noise,
+        )?;
+    }
+    Ok(page)
+}
+
+/// Head of such tables.
+pub const HEAD: &str = "| object | light | near, % | ignored, % | ratio | all, % | ignored, % | energy near | noise, % |\n|---|---|---|---|---|---|---|---|---|\n";
+
+/// Reads a bundle of a file.
+pub fn packed(path: &Path) -> Result<Vec<u8>> {
+    Ok(Bundle::pack_path(path, &Limits::default())?)
+}
