@@ -1,26 +1,30 @@
-//! Light that arrives at an object without the object: radiance of parts of the sphere, each from one walk.
+//! Light that arrives at an object without the object: radiance along walks from its middle, and of parts of the sphere, each from some.
 
 use glam::{Mat3, Vec3, Vec4};
 
 use crate::harmonics::relight_direction;
-use crate::voxels::{Seen, Start, WalkLight, walk};
+use crate::voxels::{Seen, Start, WalkLight, nearest_of_sky, walk};
 
-/// Tangent of a walk's half angle where so many walks share the sphere: `√(4/M)`.
-pub const WALK_TANGENT: fn(u32) -> f32 = |walks| (4.0 / walks as f32).sqrt().min(1.0);
+/// Walks of each part of the sphere. More → lamps of their own size and energy, time in proportion.
+pub const WALKS_OF_PART: u32 = 16;
 
 /// Radiance c of the parts of a sphere around an object, in its frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surroundings {
-    /// Directions of the parts.
+    /// Directions of walks.
     directions: Vec<Vec3>,
-    /// W·m⁻²·sr⁻¹.
+    /// Radiance that they meet, W·m⁻²·sr⁻¹.
+    seen: Vec<Vec3>,
+    /// Mean radiance of the parts, W·m⁻²·sr⁻¹.
     radiance: Vec<Vec4>,
 }
 
 impl Surroundings {
     /// What walks from a point in free space meet; `turn` is that of the object's frame.
     pub fn walked(light: &WalkLight<'_>, from_m: Vec3, turn: Mat3, parts: u32) -> Self {
-        let (start, tangent) = (Start::free(from_m), WALK_TANGENT(parts));
+        // As wide as its share of the sphere.
+        let tangent = (4.0 / (WALKS_OF_PART * parts.max(1)) as f32).sqrt().min(1.0);
+        let start = Start::free(from_m);
         Self::new(parts, |direction| {
             let direction = turn * direction;
             let seen =
@@ -31,9 +35,18 @@ impl Surroundings {
 
     /// Of the radiance in each direction.
     pub fn new(parts: u32, radiance: impl Fn(Vec3) -> Vec3) -> Self {
-        let directions: Vec<Vec3> = (0..parts).map(|part| relight_direction(part, parts)).collect();
-        let radiance = directions.iter().map(|direction| radiance(*direction).extend(0.0)).collect();
-        Self { directions, radiance }
+        let walks = WALKS_OF_PART * parts;
+        let directions: Vec<Vec3> = (0..walks).map(|walk| relight_direction(walk, walks)).collect();
+        let seen: Vec<Vec3> = directions.iter().map(|direction| radiance(*direction)).collect();
+        let middles: Vec<Vec3> = (0..parts).map(|part| relight_direction(part, parts)).collect();
+        let mut sums = vec![Vec4::ZERO; parts as usize];
+        for (direction, seen) in directions.iter().zip(&seen) {
+            if let Some(sum) = sums.get_mut(nearest_of_sky(&middles, *direction) as usize) {
+                *sum += seen.extend(1.0);
+            }
+        }
+        let mean = |sum: &Vec4| (sum.truncate() / sum.w.max(1.0)).extend(0.0);
+        Self { directions, seen, radiance: sums.iter().map(mean).collect() }
     }
 
     /// Radiance by part.
@@ -44,10 +57,10 @@ impl Surroundings {
     /// Mean radiance over a cap about an axis; `rim` is half the width of its edge, in cosine.
     pub fn mean(&self, axis: Vec3, cosine: f32, rim: f32) -> Vec3 {
         let (mut sum, mut total) = (Vec3::ZERO, 0.0);
-        for (direction, radiance) in self.directions.iter().zip(&self.radiance) {
+        for (direction, seen) in self.directions.iter().zip(&self.seen) {
             let t = ((axis.dot(*direction) - cosine + rim) / (2.0 * rim)).clamp(0.0, 1.0);
             let weight = t * t * (3.0 - 2.0 * t);
-            sum += radiance.truncate() * weight;
+            sum += *seen * weight;
             total += weight;
         }
         if total > 0.0 { sum / total } else { Vec3::ZERO }

@@ -31,7 +31,7 @@ pub fn sky_directions(patches: &PatchTable) -> Vec<Vec3> {
 }
 
 /// The part of the sky whose direction is nearest.
-pub(super) fn nearest_of_sky(sky: &[Vec3], direction: Vec3) -> u32 {
+pub(crate) fn nearest_of_sky(sky: &[Vec3], direction: Vec3) -> u32 {
     let nearest = sky.iter().zip(0..).fold((0, f32::NEG_INFINITY), |best, (middle, part)| {
         let cosine = direction.dot(*middle);
         if cosine > best.1 { (part, cosine) } else { best }

@@ -33,6 +33,7 @@ pub use content::{
     REGION_VOXELS, SUBS, Voxel, VoxelPart, place_in_brick, sub_in_voxel, voxel_in_brick,
 };
 pub use head::{GLOWS_MAX, PART_BRICKS_MAX, PART_ELEMENTS_MAX};
+pub(crate) use light::nearest_of_sky;
 pub use light::{WalkLight, first_of_sky, glows_of, sky_directions};
 pub use table::{
     BRICK_SIZE, BRICK_WORDS, BrickRow, DARK_PATCH, ElementRow, NO_BRICK, VOXEL_SIZE, VoxelTable, brick_hash,
