@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
-use lightkiln_proto::transfer::{Standing, Surroundings, TransferTable};
+use lightkiln_proto::transfer::{Standing, Surroundings, TransferTable, view_weights, viewpoints_m};
 use rayon::prelude::*;
 
 use crate::bake::{Among, LitScene, LoadedBake, Mover, SettledLight, SettledReceivers, Unshadowed};
@@ -19,6 +19,9 @@ use crate::scene::Stance;
 const ROUNDS_MAX: usize = 6;
 /// Change of E_ind by a round, as a share of it, that ends them.
 const CHANGE_MAX: f64 = 1e-3;
+
+/// Length of objects from which on the light around them is looked for at the corners of their bounds, in metres.
+const LONG_M: f32 = 0.5;
 
 /// Objects of a bake where they stand.
 pub struct Standings<'a> {
@@ -37,7 +40,8 @@ struct Placed<'a> {
 /// Light of an object.
 struct Lit<'a> {
     indirect: Box<dyn IndirectIrradiance + 'a>,
-    surroundings: Arc<Surroundings>,
+    /// What each part hides, likewise.
+    hidden: Arc<Vec<Vec<Surroundings>>>,
     /// By level and part.
     radiance: Arc<Vec<Vec<Vec3>>>,
 }
@@ -121,12 +125,20 @@ impl<'a> Standings<'a> {
         let of = |(index, placed): (usize, &'a Placed<'a>)| {
             let Placed { mover, volume, world_from_object, .. } = placed;
             let among = Among { world_from_scene: *world_from_object, ..Among::default() };
-            let middle_m = world_from_object.transform_point3(volume.middle_m());
             let parts = mover.bake.light.voxels().map_or(0, |(_, patches)| patches.sky_parts);
-            let surroundings = Arc::new(match &walked {
-                Some(light) => Surroundings::walked(light, middle_m, among.turn(), parts),
+            let scale = world_from_object.matrix3.x_axis.length();
+            let is_long = 2.0 * volume.half_side_m() * scale > LONG_M;
+            let look = |from_m: Vec3| match &walked {
+                Some(light) => {
+                    let from_m = world_from_object.transform_point3(from_m);
+                    Surroundings::walked(light, from_m, among.turn(), parts)
+                }
                 None => Surroundings::new(parts, |_| Vec3::ZERO),
-            });
+            };
+            let seen: Vec<Surroundings> =
+                viewpoints_m(volume.box_m(), is_long).into_iter().map(look).collect();
+            let surroundings =
+                Surroundings::mixed(&seen, &view_weights(volume.box_m(), seen.len(), volume.middle_m()));
             let own = moved.objects.get(index).map(Vec::as_slice);
             let among = Among { around: Some(surroundings.radiance()), moved: own, ..among };
             let unshadowed = Unshadowed { emitter_scale: &[], panorama: None, ..lit.unshadowed };
@@ -136,7 +148,7 @@ impl<'a> Standings<'a> {
                 .as_ref()
                 .map(|walks| volume.radiance(&walks.lambda, &walks.emitters))
                 .unwrap_or_default();
-            Lit { indirect, surroundings, radiance: Arc::new(radiance) }
+            Lit { indirect, hidden: Arc::new(volume.hidden(&seen)), radiance: Arc::new(radiance) }
         };
         self.placed.iter().enumerate().map(of).collect()
     }
@@ -166,8 +178,8 @@ impl<'a> Standings<'a> {
 fn effects<'b>(placed: &'b [Placed<'_>], lights: &[Lit<'_>]) -> Vec<Effect<'b>> {
     let of = |(placed, light): (&'b Placed<'_>, &Lit<'_>)| {
         let Placed { volume, world_from_object, sight, .. } = placed;
-        let (radiance, surroundings) = (light.radiance.clone(), light.surroundings.clone());
-        Effect { standing: Standing::new(volume, *world_from_object, radiance, surroundings), sight }
+        let (radiance, hidden) = (light.radiance.clone(), light.hidden.clone());
+        Effect { standing: Standing::new(volume, *world_from_object, radiance, hidden), sight }
     };
     placed.iter().zip(lights).map(of).collect()
 }

@@ -49,8 +49,8 @@ const SECTIONS: [SectionId; 4] = [
 ];
 /// Section of the head, for errors.
 const HEAD: &str = "transfer head";
-/// Bytes of the numbers of a part: its plane and steps.
-const PART_BYTES: u64 = 24;
+/// Bytes of the numbers of a part: its middle, plane and steps.
+const PART_BYTES: u64 = 36;
 
 fn describe(bytes: &[u8]) -> Result<Value, ChunkError> {
     let level = decode_transfer(bytes)?;
@@ -148,6 +148,7 @@ fn check(section: &'static str, level: &TransferLevel) -> Result<(), ChunkError>
         for glow in &part.glows {
             all_numbers(section, "share of a glow", &glow.share, "0 or more", |x| x >= 0.0 && x.is_finite())?;
         }
+        all_numbers(section, "middle", &part.middle_m, "-1e6..=1e6 m", |x| (-1e6..=1e6).contains(&x))?;
         let [x, y, z, offset] = part.plane;
         let square = x * x + y * y + z * z;
         let is_unit = |square: f32| square == 0.0 || (0.98..=1.02).contains(&square);
@@ -166,6 +167,7 @@ fn parts(level: &TransferLevel) -> Vec<u8> {
     ints::put_u32s(&mut raw, &level.parts.iter().map(|part| part.patches.len() as u32).collect::<Vec<_>>());
     ints::put_u32s(&mut raw, &level.parts.iter().map(|part| part.glows.len() as u32).collect::<Vec<_>>());
     for part in &level.parts {
+        put_f32s(&mut raw, &part.middle_m);
         put_f32s(&mut raw, &part.plane);
         put_f32s(&mut raw, &part.steps);
     }
@@ -282,6 +284,9 @@ fn read_parts(raw: &[u8], found: &mut TransferLevel, counts: Counts) -> Result<(
             glows: vec![none.1; glows as usize],
             ..TransferPart::default()
         };
+        for number in &mut part.middle_m {
+            *number = reader.f32("middle")?;
+        }
         for number in &mut part.plane {
             *number = reader.f32("plane")?;
         }

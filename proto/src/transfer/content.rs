@@ -37,6 +37,8 @@ pub struct TransferPart {
     pub patches: Vec<PartPatch>,
     /// Emission.
     pub glows: Vec<PartGlow>,
+    /// Mean place of its surface in metres.
+    pub middle_m: [f32; 3],
     /// Unit normal and offset of a plane, `n·x = d`, behind which nothing of it is seen; a normal of 0 where there is none.
     pub plane: [f32; 4],
     /// Steps of F_p and of Ω_p.

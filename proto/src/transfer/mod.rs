@@ -23,7 +23,7 @@ pub use content::{
     TransferPart, node_codes,
 };
 pub use lattice::{Axis, FADE_H, Lattice, REACH_H};
-pub use surroundings::{Surroundings, WALKS_OF_PART};
+pub use surroundings::{Surroundings, WALKS_OF_PART, view_weights, viewpoints_m};
 pub use table::{Covered, Standing, TransferTable};
 
 /// Role of the chunks of volumes, the coarsest first.

@@ -8,6 +8,37 @@ use crate::voxels::{Seen, Start, WalkLight, nearest_of_sky, walk};
 /// Walks of each part of the sphere. More → lamps of their own size and energy, time in proportion.
 pub const WALKS_OF_PART: u32 = 16;
 
+/// Share of an object's bounds at whose corners light is looked for.
+const WITHIN: f32 = 0.9;
+
+/// Points of an object, in its own space, from which its surroundings are looked at: its middle, and the corners of its bounds where the object
+/// is so long that they differ.
+pub fn viewpoints_m(box_m: [[f32; 3]; 2], are_corners_seen: bool) -> Vec<Vec3> {
+    let [low, high] = box_m.map(Vec3::from);
+    let (middle, half) = (0.5 * (low + high), 0.5 * WITHIN * (high - low));
+    if !are_corners_seen {
+        return vec![middle];
+    }
+    let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
+    (0..8)
+        .map(|corner| middle + half * Vec3::new(sign(corner, 0), sign(corner, 1), sign(corner, 2)))
+        .collect()
+}
+
+/// Weight of each of [`viewpoints_m`] at a point of the object.
+pub fn view_weights(box_m: [[f32; 3]; 2], viewpoints: usize, at_m: Vec3) -> Vec<f32> {
+    if viewpoints != 8 {
+        return vec![1.0 / viewpoints.max(1) as f32; viewpoints];
+    }
+    let [low, high] = box_m.map(Vec3::from);
+    let (middle, half) = (0.5 * (low + high), 0.5 * WITHIN * (high - low));
+    let share =
+        (0.5 + 0.5 * (at_m - middle) / half.max(Vec3::splat(f32::MIN_POSITIVE))).clamp(Vec3::ZERO, Vec3::ONE);
+    let along =
+        |corner: u32, axis: usize| if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
+    (0..8).map(|corner| (0..3).map(|axis| along(corner, axis)).product()).collect()
+}
+
 /// Radiance c of the parts of a sphere around an object, in its frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surroundings {
@@ -47,6 +78,21 @@ impl Surroundings {
         }
         let mean = |sum: &Vec4| (sum.truncate() / sum.w.max(1.0)).extend(0.0);
         Self { directions, seen, radiance: sums.iter().map(mean).collect() }
+    }
+
+    /// Weighted mean of some with as many parts.
+    pub fn mixed(of: &[Self], weights: &[f32]) -> Self {
+        let Some(first) = of.first() else { return Self::default() };
+        let mut mixed = Self {
+            directions: first.directions.clone(),
+            seen: vec![Vec3::ZERO; first.seen.len()],
+            radiance: vec![Vec4::ZERO; first.radiance.len()],
+        };
+        for (own, weight) in of.iter().zip(weights) {
+            mixed.seen.iter_mut().zip(&own.seen).for_each(|(sum, seen)| *sum += *weight * *seen);
+            mixed.radiance.iter_mut().zip(&own.radiance).for_each(|(sum, part)| *sum += *weight * *part);
+        }
+        mixed
     }
 
     /// Radiance by part.

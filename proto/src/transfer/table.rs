@@ -7,7 +7,7 @@ use glam::{Affine3A, Mat3, Vec3, Vec4};
 
 use super::content::{LEVELS, TransferLevel, TransferPart};
 use super::lattice::{FADE_H, Lattice, REACH_H, half_side_m};
-use super::surroundings::Surroundings;
+use super::surroundings::{Surroundings, view_weights};
 use crate::relight::{Inconsistent, PatchTable};
 
 /// Share of a level's half side from which on it blends into the next.
@@ -49,7 +49,8 @@ pub struct Standing<'a> {
     turn_back: Mat3,
     /// Mean radiance of each part, by level, W·m⁻²·sr⁻¹.
     radiance: Arc<Vec<Vec<Vec3>>>,
-    surroundings: Arc<Surroundings>,
+    /// What each part hides, by level.
+    hidden: Arc<Vec<Vec<Surroundings>>>,
 }
 
 impl TransferTable {
@@ -126,6 +127,14 @@ impl TransferTable {
         self.levels.iter().zip(&self.patches).map(of_level).collect()
     }
 
+    /// Surroundings that each part hides, by level, of those seen from [`super::viewpoints_m`].
+    pub fn hidden(&self, seen: &[Surroundings]) -> Vec<Vec<Surroundings>> {
+        let of_part = |part: &TransferPart| {
+            Surroundings::mixed(seen, &view_weights(self.box_m(), seen.len(), part.middle_m.into()))
+        };
+        self.levels.iter().map(|(level, _)| level.parts.iter().map(of_part).collect()).collect()
+    }
+
     /// Weight of the object's effect on a point in its frame: 1 near it, 0 from [`REACH_H`] on.
     pub fn fade(&self, at_m: Vec3) -> f32 {
         let distance = (at_m - self.middle_m).abs().max_element() / self.h_m.max(f32::MIN_POSITIVE);
@@ -182,17 +191,17 @@ impl TransferTable {
 }
 
 impl<'a> Standing<'a> {
-    /// An object at a place, of uniform scale, whose parts have such radiance, in such surroundings.
+    /// An object at a place, of uniform scale, whose parts have such radiance and hide such surroundings.
     pub fn new(
         table: &'a TransferTable,
         world_from_object: Affine3A,
         radiance: Arc<Vec<Vec<Vec3>>>,
-        surroundings: Arc<Surroundings>,
+        hidden: Arc<Vec<Vec<Surroundings>>>,
     ) -> Self {
         let object_from_world = world_from_object.inverse();
         let turn = Mat3::from(object_from_world.matrix3);
         let scale = turn.x_axis.length().max(f32::MIN_POSITIVE);
-        Self { table, object_from_world, turn_back: turn * scale.recip(), radiance, surroundings }
+        Self { table, object_from_world, turn_back: turn * scale.recip(), radiance, hidden }
     }
 
     /// Whether its effect reaches a point.
@@ -211,7 +220,8 @@ impl<'a> Standing<'a> {
         self.table.covered(at_m, |Covered { level, part, vector, solid_angle }, weight| {
             let received = normal.dot(vector);
             if received > 0.0 {
-                let hidden = self.surroundings.mean(vector.normalize_or_zero(), cap_cosine(solid_angle), RIM);
+                let hidden =
+                    self.hidden[level][part].mean(vector.normalize_or_zero(), cap_cosine(solid_angle), RIM);
                 sum += weight * received * (self.radiance[level][part] - hidden);
             }
         });

@@ -133,15 +133,17 @@ fn wrong_levels_are_refused_with_the_reason() {
 #[test]
 fn ball_gives_its_form_factor_and_takes_what_it_hides() {
     let table = table(ball(16));
-    let [black, white] = [0.0, 1.0].map(|light| Arc::new(Surroundings::new(64, |_| Vec3::splat(light))));
+    let [black, white] = [0.0, 1.0].map(|light| Surroundings::new(64, |_| Vec3::splat(light)));
     let place = Affine3A::from_scale_rotation_translation(
         Vec3::splat(0.5),
         Quat::from_rotation_y(0.7),
         Vec3::new(3.0, 1.0, 0.0),
     );
     let radiance = |light: f32| Arc::new(table.radiance(&[] as &[Vec4], &[Vec3::splat(light)]));
-    let standing =
-        |light, around: &Arc<Surroundings>| Standing::new(&table, place, radiance(light), around.clone());
+    let standing = |light, around: &Surroundings| {
+        let hidden = Arc::new(table.hidden(std::slice::from_ref(around)));
+        Standing::new(&table, place, radiance(light), hidden)
+    };
     let (mut worst, mut points) = (0.0_f32, 0);
     for step in 0..512_u32 {
         let direction = crate::harmonics::relight_direction(step, 512);

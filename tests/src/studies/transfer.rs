@@ -14,7 +14,7 @@ use lightkiln_client::preview::{Backend, light_receivers_among};
 use lightkiln_client::scene::Stance;
 use lightkiln_worker::evaluate::{TestLight, default_lights};
 use lightkiln_worker::geometry::{Geometry, Site};
-use lightkiln_worker::reference::{Precision, Reference, luminance};
+use lightkiln_worker::reference::{IrradianceEstimate, Precision, Reference, luminance};
 use lightkiln_worker::scene::model::Scene;
 use lightkiln_worker::scene::{self, Bundle, Limits};
 use lightkiln_worker::task::Progress;
@@ -40,21 +40,50 @@ pub struct Setting {
     pub rel_error: f64,
 }
 
-/// Errors under one light, as shares of the mean near the object.
+/// Errors under one light, as shares of the mean near the object; the reference's own noise is taken off.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Errors {
+pub struct Shares {
     /// Of the bake with the object near it, and over all.
     pub with_object: [f64; 2],
     /// Where indirect light ignores it.
     pub ignored: [f64; 2],
-    /// Of the reference's own noise near the object.
-    pub noise: f64,
+    /// Of the bake without the object, against paths without it, at the same places.
+    pub alone: f64,
     /// Mean of the bake over that of the reference near the object.
     pub energy: f64,
 }
 
+/// Sums over sites.
+struct Errors {
+    /// Mean square of the difference less that of noise.
+    square: f64,
+    mean: f64,
+    energy: f64,
+}
+
+impl Errors {
+    fn of<'a>(
+        pairs: impl Iterator<Item = ((&'a (usize, Site, bool), &'a DVec3), &'a IrradianceEstimate)>,
+    ) -> Self {
+        let (mut square, mut total, mut own, mut count) = (0.0, 0.0, 0.0, 0.0_f64);
+        for ((_, found), truth) in pairs {
+            let wanted = truth.indirect.mean;
+            square += luminance(*found - wanted).powi(2) - truth.indirect.luminance_error.powi(2);
+            total += luminance(wanted);
+            own += luminance(*found);
+            count += 1.0;
+        }
+        let count = count.max(1.0);
+        Self { square: square / count, mean: total / count, energy: own / total }
+    }
+
+    fn relative(&self, mean: f64) -> f64 {
+        self.square.max(0.0).sqrt() / mean
+    }
+}
+
 /// Errors by light.
-pub type Measured = Vec<(TestLight, Errors)>;
+pub type Measured = Vec<(TestLight, Shares)>;
 
 fn imported(bundle: &[u8]) -> Result<Scene> {
     let opened = Bundle::from_bytes(bundle.to_vec(), &Limits::default())?;
@@ -86,25 +115,31 @@ pub fn measured(setting: &Setting) -> Result<Measured> {
     let of_object = Arc::new(loaded(setting.object.clone(), "transfer", &settings)?);
     settings["voxels"] = "on".into();
     let mut with = loaded(setting.scene.clone(), "prt", &settings)?;
-    let folderless = of_object.scene.manifest.bounds_m.map(Vec3::from);
-    let mut without = LoadedBake::new(Arc::clone(&with.scene), with.light);
-    with =
-        LoadedBake::new(Arc::clone(&without.scene), loaded(setting.scene.clone(), "prt", &settings)?.light);
+    let bounds_m = of_object.scene.manifest.bounds_m.map(Vec3::from);
+    let light = || anyhow::Ok(loaded(setting.scene.clone(), "prt", &settings)?.light);
+    let (mut without, empty) = (
+        LoadedBake::new(Arc::clone(&with.scene), light()?),
+        LoadedBake::new(Arc::clone(&with.scene), light()?),
+    );
     with.put(Beside::Baked { name: "object".to_owned(), bake: Arc::clone(&of_object) })?;
     without.put(Beside::meshes_of(&of_object, "object"))?;
-    let middle_m = place.transform_point3(0.5 * (folderless[0] + folderless[1]));
-    let radius_m = 0.5 * (folderless[1] - folderless[0]).length() * setting.stance.scale;
+    let middle_m = place.transform_point3(0.5 * (bounds_m[0] + bounds_m[1]));
+    let radius_m = 0.5 * (bounds_m[1] - bounds_m[0]).length() * setting.stance.scale;
     let sites = sites(&with, &together, middle_m, radius_m)?;
     let mut found = Vec::new();
     for chosen in default_lights(&alone).lights {
         let reference = Reference::new(&together, &chosen.lighting)?;
         let precision = Precision { rel_error: setting.rel_error, paths_max: 1 << 15 };
         let places: Vec<Site> = sites.iter().map(|(_, site, _)| *site).collect();
-        let truth = reference.irradiance(&places, &precision, &Progress::new()).context("cancelled")?;
+        let traced = |reference: &Reference<'_>| {
+            reference.irradiance(&places, &precision, &Progress::new()).context("cancelled")
+        };
+        let truth = traced(&reference)?;
+        let truth_alone = traced(&Reference::new(&alone, &chosen.lighting)?)?;
         let emitters = vec![chosen.lighting.emitter_scale; with.scene.manifest.emitters.len()];
         let lit = |bake: &LoadedBake| -> Result<Vec<DVec3>> {
             let (lights, panorama) = (chosen.lighting.lights.clone(), chosen.lighting.panorama.clone());
-            let stances = [setting.stance];
+            let stances = vec![setting.stance; bake.scene.objects()];
             let lit =
                 light_receivers_among(bake, lights, panorama, emitters.clone(), &stances, Backend::Cpu)?;
             let light = lit.settled.light;
@@ -114,31 +149,20 @@ pub fn measured(setting: &Setting) -> Result<Measured> {
             };
             Ok(sites.iter().map(of).collect())
         };
-        let (ours, ignored) = (lit(&with)?, lit(&without)?);
-        let error = |found: &[DVec3], is_wanted: &dyn Fn(bool) -> bool| {
-            let (mut squares, mut total, mut own, mut noise, mut count) = (0.0, 0.0, 0.0, 0.0, 0.0);
-            for (((_, _, is_near), found), truth) in sites.iter().zip(found).zip(&truth) {
-                if is_wanted(*is_near) {
-                    let wanted = truth.indirect.mean;
-                    squares += luminance((*found - wanted).abs()).powi(2);
-                    noise += truth.indirect.luminance_error.powi(2);
-                    total += luminance(wanted);
-                    own += luminance(*found);
-                    count += 1.0;
-                }
-            }
-            let mean = total / count;
-            [(squares / count).sqrt() / mean, own / total, (noise / count).sqrt() / mean]
+        let ours = lit(&with)?;
+        let near = Errors::of(sites.iter().zip(&ours).zip(&truth).filter(|((site, _), _)| site.2));
+        let share = |found: &[DVec3], truth: &[IrradianceEstimate], is_near: bool| {
+            let pairs = sites.iter().zip(found).zip(truth).filter(|((site, _), _)| site.2 || !is_near);
+            Errors::of(pairs).relative(near.mean)
         };
-        let (near, all) = (|is_near: bool| is_near, |_: bool| true);
-        let [of_near, energy, noise] = error(&ours, &near);
-        let errors = Errors {
-            with_object: [of_near, error(&ours, &all)[0]],
-            ignored: [error(&ignored, &near)[0], error(&ignored, &all)[0]],
-            noise,
-            energy,
+        let ignored = lit(&without)?;
+        let shares = Shares {
+            with_object: [share(&ours, &truth, true), share(&ours, &truth, false)],
+            ignored: [share(&ignored, &truth, true), share(&ignored, &truth, false)],
+            alone: share(&lit(&empty)?, &truth_alone, true),
+            energy: near.energy,
         };
-        found.push((chosen, errors));
+        found.push((chosen, shares));
     }
     Ok(found)
 }
@@ -174,24 +198,24 @@ fn sites(
 /// A table in Markdown of one setting, measured.
 pub fn table(name: &str, found: &Measured) -> Result<String> {
     let mut page = String::new();
-    for (light, Errors { with_object, ignored, noise, energy }) in found {
+    for (light, Shares { with_object, ignored, alone, energy }) in found {
         writeln!(
             page,
-            "| {name} | {} | {:.1} | {:.1} | {:.2} | {:.1} | {:.1} | {energy:.3} | {:.1} |",
+            "| {name} | {} | {:.1} | {:.1} | {:.2} | {:.1} | {:.1} | {:.1} | {energy:.3} |",
             light.name,
             100.0 * with_object[0],
             100.0 * ignored[0],
             with_object[0] / ignored[0],
+            100.0 * alone,
             100.0 * with_object[1],
             100.0 * ignored[1],
-            100.0 * noise,
         )?;
     }
     Ok(page)
 }
 
 /// Head of such tables.
-pub const HEAD: &str = "| object | light | near, % | ignored, % | ratio | all, % | ignored, % | energy near | noise, % |\n|---|---|---|---|---|---|---|---|---|\n";
+pub const HEAD: &str = "| object | light | near, % | ignored, % | ratio | bake alone, % | all, % | ignored, % | energy near |\n|---|---|---|---|---|---|---|---|---|\n";
 
 /// Reads a bundle of a file.
 pub fn packed(path: &Path) -> Result<Vec<u8>> {

@@ -5,7 +5,7 @@ use crate::chunk::*;
 use crate::kinds::Kinds;
 use crate::kinds::field::{PART_PROBES_MAX, TETRAHEDRA_MAX};
 use crate::kinds::sh::{BATCH_PROBES_MAX, HITS_MAX, RELIGHT_RAYS_MAX};
-use crate::voxels;
+use crate::{transfer, voxels};
 
 const FORMAT: &str = include_str!("../../../FORMAT.md");
 
@@ -52,6 +52,11 @@ fn limits_are_those_of_the_code() {
         ("bricks in a part of voxels", voxels::PART_BRICKS_MAX),
         ("elements in a part of voxels", voxels::PART_ELEMENTS_MAX),
         ("glows in a part of voxels", voxels::GLOWS_MAX),
+        ("levels of a volume", transfer::LEVELS as usize),
+        ("nodes of a volume's level along an axis", transfer::NODES_MAX as usize),
+        ("parts of a volume's level", transfer::PARTS_MAX),
+        ("patches of its parts", transfer::PATCHES_MAX),
+        ("glows of its parts", transfer::GLOWS_MAX),
         ("surface patches", PATCHES_MAX),
         ("clusters in a page of a directory", DIRECTORY_CLUSTERS_MAX),
         ("receivers of patches", PATCH_RECEIVERS_MAX),

@@ -10,6 +10,9 @@ use crate::kinds::field::{
     decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
+use crate::transfer::{
+    PartGlow, PartPatch, TransferLevel, TransferPart, decode_transfer, encode_transfer,
+};
 use crate::voxels::{
     Brick, BrickKey, Element, Glow, NormalCode, Voxel, VoxelPart, decode_voxels, encode_voxels,
 };
@@ -49,6 +52,9 @@ const TETRAHEDRA_V4: &[u8] = include_bytes!("../../../fixtures/tetrahedra-v4.lkc
 
 /// Elements in voxels, likewise.
 const VOXELS_V4: &[u8] = include_bytes!("../../../fixtures/voxels-v4.lkc");
+
+/// A level of a volume, likewise.
+const TRANSFER_V4: &[u8] = include_bytes!("../../../fixtures/transfer-v4.lkc");
 
 /// A page of a directory, of which there are none in older versions.
 const DIRECTORY_V4: &[u8] = include_bytes!("../../../fixtures/directory-v4.lkc");
@@ -178,7 +184,7 @@ fn geometry() -> Geometry {
     }
 }
 
-fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 10] {
+fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 11] {
     let encode = |cluster| encode_cluster(&cluster, QuantisationSettings::default()).unwrap().bytes;
     [
         ("cluster-v4.lkc", encode(cluster()), V4.cluster),
@@ -189,6 +195,7 @@ fn encoded() -> [(&'static str, Vec<u8>, &'static [u8]); 10] {
         ("field-v4.lkc", encode_field(&field(), 0.01).unwrap().bytes, FIELD_V4),
         ("tetrahedra-v4.lkc", encode_tetrahedra(&tetrahedra()).unwrap(), TETRAHEDRA_V4),
         ("voxels-v4.lkc", encode_voxels(&voxels()).unwrap(), VOXELS_V4),
+        ("transfer-v4.lkc", encode_transfer(&transfer()).unwrap(), TRANSFER_V4),
         ("geometry-v4.lkc", encode_geometry(&geometry()).unwrap(), V4.geometry),
         ("texture-v4.lkc", encode_texture("image/png", b"\x89PNG of no size").unwrap(), V4.texture),
     ]
@@ -328,6 +335,29 @@ fn voxels() -> VoxelPart {
             brick(0, -1, vec![floor(0, [-13, 3, 0])]),
         ],
     }
+}
+
+/// A glowing side and a dark back, at 5³ nodes.
+fn transfer() -> TransferLevel {
+    let side = TransferPart {
+        patches: vec![
+            PartPatch { key: PatchKey::of_cell(2, [-1, 0, 3], 0, 0), share: 0.25 },
+            PartPatch { key: PatchKey::of_cell(2, [0, 0, 3], 0, 1), share: 0.75 },
+        ],
+        glows: vec![PartGlow { emitter: 1, share: [0.5, 0.25, 0.0] }],
+        middle_m: [0.5, 0.25, -1.5],
+        plane: [0.0, 1.0, 0.0, -0.25],
+        steps: [0.015625, 0.03125],
+    };
+    let back = TransferPart { steps: [0.0, 0.0078125], ..TransferPart::default() };
+    let code = |index: usize| [index as i8, -(index as i8), 7, 127 - index as i8];
+    let codes = (0..125).map(code).chain((0..125).map(|index| [0, 0, 0, index as i8])).collect();
+    TransferLevel { level: 1, box_m: [[-1.0, 0.0, -2.0], [1.0, 2.5, -1.0]], nodes: 5, parts: vec![side, back], codes }
+}
+
+#[test]
+fn transfer_of_version_4_still_decodes_to_what_went_in() {
+    assert_eq!(decode_transfer(TRANSFER_V4).unwrap(), transfer());
 }
 
 #[test]

@@ -2,10 +2,10 @@
 
 use proptest::prelude::*;
 
-use super::scenes::{batch, directory, field, narrow, patches, quads, tetrahedra, voxels, wall};
+use super::scenes::{batch, directory, field, narrow, patches, quads, tetrahedra, transfer, voxels, wall};
 use super::whole::{
     assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_tetrahedra,
-    assert_voxels, assert_whole,
+    assert_transfer, assert_voxels, assert_whole,
 };
 use crate::chunk::container::{Container, ContainerWriter, SectionId};
 use crate::chunk::*;
@@ -14,6 +14,7 @@ use crate::kinds::field::{
     FIELD_CHUNK, MESH, decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
+use crate::transfer::{TRANSFER_CHUNK, decode_transfer, encode_transfer};
 use crate::voxels::{VOXELS_CHUNK, decode_voxels, decode_voxels_prefix, encode_voxels};
 
 /// A chunk of each kind, small enough to be cut at every byte.
@@ -29,6 +30,7 @@ fn chunks() -> Vec<(ChunkKind, Vec<u8>)> {
         (FIELD_CHUNK, encode_field(&field(2, 3, 1), 0.01).unwrap().bytes),
         (MESH, encode_tetrahedra(&tetrahedra(9)).unwrap()),
         (VOXELS_CHUNK, encode_voxels(&voxels(2, 1)).unwrap()),
+        (TRANSFER_CHUNK, encode_transfer(&transfer(4)).unwrap()),
     ]
 }
 
@@ -50,6 +52,7 @@ fn decode(kind: ChunkKind, bytes: &[u8]) -> Result<(), ChunkError> {
         FIELD_CHUNK => decode_field(bytes).map(|part| assert_field(&part)),
         MESH => decode_tetrahedra(bytes).map(|set| assert_tetrahedra(&set)),
         VOXELS_CHUNK => decode_voxels(bytes).map(|part| assert_voxels(&part)),
+        TRANSFER_CHUNK => decode_transfer(bytes).map(|level| assert_transfer(&level)),
         kind => unreachable!("{kind:?} is not among the chunks"),
     }
 }

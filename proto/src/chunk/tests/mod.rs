@@ -13,4 +13,5 @@ use crate::content::*;
 use crate::kinds::field::{FieldPart, MAP_POINTS, MOVES_MAX, PROBE_ROWS, TetrahedronSet};
 use crate::kinds::sh::{ProbeBatch, RelightHit};
 use crate::manifest::{ChunkRef, ClusterRow};
+use crate::transfer::TransferLevel;
 use crate::voxels::{BRICKS_MAX, Brick, LEVELS_MAX as VOXEL_LEVELS_MAX, VoxelPart};

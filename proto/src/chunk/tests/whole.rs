@@ -87,6 +87,21 @@ pub fn assert_tetrahedra(set: &TetrahedronSet) {
     assert!((0..3).all(|axis| high[axis] > low[axis] || set.vertices.is_empty() && high[axis] == low[axis]));
 }
 
+/// All parts have codes, and what they name is there.
+pub fn assert_transfer(level: &TransferLevel) {
+    assert!((4..=64).contains(&level.nodes) && level.level < 4 && level.parts.len() <= 64);
+    assert_eq!(level.codes.len(), level.parts.len() * level.node_count());
+    assert!(!level.codes.as_flattened().contains(&i8::MIN));
+    for part in &level.parts {
+        assert!(part.patches.windows(2).all(|pair| pair[0].key < pair[1].key));
+        assert!(part.patches.iter().all(|patch| patch.key.sky().is_none() && !patch.key.is_difference()));
+        assert!(part.patches.iter().all(|patch| (0.0..=1.0).contains(&patch.share)));
+        assert!(part.glows.iter().flat_map(|glow| glow.share).all(|share| share >= 0.0 && share.is_finite()));
+        let numbers = [&part.middle_m[..], &part.plane, &part.steps];
+        assert!(numbers.concat().iter().all(|number| number.is_finite()));
+    }
+}
+
 /// Bricks and voxels are in order and hold something, and what elements name is there.
 pub fn assert_voxels(part: &VoxelPart) {
     let order = |brick: &Brick| (VOXEL_LEVELS_MAX - brick.key.level, brick.key);

@@ -13,6 +13,9 @@ use lightkiln_proto::kinds::field::{
 };
 use lightkiln_proto::kinds::sh::*;
 use lightkiln_proto::manifest::{ChunkRef, ClusterRow};
+use lightkiln_proto::transfer::{
+    LEVELS as TRANSFER_LEVELS, TransferLevel, TransferTable, decode_transfer, encode_transfer,
+};
 use lightkiln_proto::voxels::{
     BRICKS_MAX, Brick, BrickKey, Element, Glow, LEVELS_MAX as VOXEL_LEVELS_MAX, NormalCode, Voxel, VoxelPart,
     decode_voxels, decode_voxels_prefix, encode_voxels, voxel_layers,
@@ -22,7 +25,7 @@ use super::container::{packed, unpacked};
 use super::{Target, taken};
 use whole::{
     assert_batch, assert_directory, assert_field, assert_geometry, assert_patches, assert_tetrahedra,
-    assert_voxels, assert_whole,
+    assert_transfer, assert_voxels, assert_whole,
 };
 
 /// A cluster.
@@ -77,6 +80,15 @@ pub const VOXELS: Target = Target {
     read: |bytes| read(bytes, decode_voxels),
     check: |bytes| each_form(bytes, check_voxels),
     seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/voxels-v4.lkc"), &wall_in_voxels()]),
+    memory_max,
+};
+
+/// A level of a volume.
+pub const TRANSFER: Target = Target {
+    name: "transfer",
+    read: |bytes| read(bytes, decode_transfer),
+    check: |bytes| each_form(bytes, check_transfer),
+    seeds: || seeds(&[include_bytes!("../../../../proto/fixtures/transfer-v4.lkc")]),
     memory_max,
 };
 
@@ -265,6 +277,28 @@ fn check_voxels(bytes: &[u8]) {
         again => again.expect("what was decoded can be encoded"),
     };
     assert_eq!(decode_voxels(&again).expect("what was encoded can be decoded"), part);
+}
+
+fn check_transfer(bytes: &[u8]) {
+    let Ok(level) = decode_transfer(bytes) else { return };
+    assert_transfer(&level);
+    let again = match encode_transfer(&level) {
+        Err(ChunkError::OutOfRange { what: "decoded bytes", .. }) => return,
+        again => again.expect("what was decoded can be encoded"),
+    };
+    assert_eq!(decode_transfer(&again).expect("what was encoded can be decoded"), level);
+    // Whatever its numbers are, points around it are told something finite.
+    let slots = lightkiln_proto::relight::SlotTable::new([]).expect("there are none");
+    let none = PatchSet { leaf_starts: vec![0], ..PatchSet::default() };
+    let patches = lightkiln_proto::relight::PatchTable::new(&none, &slots).expect("there are none");
+    let levels = (0..TRANSFER_LEVELS).map(|level_number| TransferLevel { level: level_number, ..level.clone() });
+    if let Ok(table) = TransferTable::new(levels.collect(), &patches) {
+        for at in [[0.0; 3], [1.0, 2.0, 3.0], level.box_m[0], level.box_m[1]] {
+            table.covered(at.into(), |covered, weight| {
+                assert!(covered.vector.is_finite() && covered.solid_angle.is_finite() && weight.is_finite());
+            });
+        }
+    }
 }
 
 fn check_field(bytes: &[u8]) {

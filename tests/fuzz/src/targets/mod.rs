@@ -33,6 +33,7 @@ pub const TARGETS: [Target; 17] = [
     chunks::FIELD,
     chunks::TETRAHEDRA,
     chunks::VOXELS,
+    chunks::TRANSFER,
     chunks::GEOMETRY,
     chunks::TEXTURE,
     chunks::PATCHES,

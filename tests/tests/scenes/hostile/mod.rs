@@ -90,6 +90,7 @@ held! {
     hostile_fields_do_no_harm: "field";
     hostile_tetrahedra_do_no_harm: "tetrahedra";
     hostile_voxels_do_no_harm: "voxels";
+    hostile_volumes_do_no_harm: "transfer";
     hostile_geometry_does_no_harm: "geometry";
     hostile_textures_do_no_harm: "texture";
     hostile_patches_do_no_harm: "patches";

@@ -27,6 +27,8 @@ struct Group {
     area_m2: f32,
     /// Sum of normals times area.
     normal: Vec3,
+    /// Sum of places times area.
+    place_m: Vec3,
     low_m: Vec3,
     high_m: Vec3,
 }
@@ -58,12 +60,14 @@ impl Facing<'_> {
             patches,
             area_m2: 0.0,
             normal: Vec3::ZERO,
+            place_m: Vec3::ZERO,
             low_m: Vec3::INFINITY,
             high_m: Vec3::NEG_INFINITY,
         };
         for (receiver, area_m2) in group.patches.iter().flat_map(|&patch| self.receivers(patch)) {
             group.area_m2 += area_m2;
             group.normal += receiver.normal * area_m2;
+            group.place_m += receiver.position_m * area_m2;
             group.low_m = group.low_m.min(receiver.position_m);
             group.high_m = group.high_m.max(receiver.position_m);
         }
@@ -170,6 +174,7 @@ impl Parts {
             };
             parts.push(TransferPart {
                 patches: group.patches.iter().map(patch).collect(),
+                middle_m: (group.place_m / group.area_m2.max(f32::MIN_POSITIVE)).to_array(),
                 plane: facing.plane(group, side_m),
                 ..TransferPart::default()
             });
