@@ -24,7 +24,7 @@ pub use content::{
 };
 pub use lattice::{Axis, FADE_H, Lattice, REACH_H};
 pub use surroundings::{Surroundings, WALKS_OF_PART, view_weights, viewpoints_m};
-pub use table::{Covered, Standing, TransferTable};
+pub use table::{Cap, Covered, Standing, TransferTable};
 
 /// Role of the chunks of volumes, the coarsest first.
 pub const TRANSFER: &str = "transfer";

@@ -209,7 +209,23 @@ impl<'a> Standing<'a> {
         self.table.fade(self.object_from_world.transform_point3(at_m)) > 0.0
     }
 
-    /// ΔE at a point about a normal in W·m⁻², without walls between.
+    /// The ball around the object as a point sees it.
+    pub fn cap(&self, at_m: Vec3) -> Cap {
+        let local_m = self.object_from_world.transform_point3(at_m);
+        let [low, high] = self.table.box_m().map(Vec3::from);
+        let (offset_m, radius_m) = (self.table.middle_m - local_m, 0.5 * (high - low).length());
+        let distance_m = offset_m.length();
+        let half_angle_rad =
+            if radius_m < distance_m { libm::asinf(radius_m / distance_m) } else { std::f32::consts::PI };
+        let mut solid_angle = 0.0;
+        self.table.covered(local_m, |covered, weight| solid_angle += weight * covered.solid_angle);
+        let filled = solid_angle / (TAU * (1.0 - libm::cosf(half_angle_rad))).max(f32::MIN_POSITIVE);
+        let towards = self.turn_back.transpose() * offset_m.normalize_or(Vec3::Y);
+        let world_m = self.object_from_world.matrix3.x_axis.length().max(f32::MIN_POSITIVE);
+        Cap { towards, distance_m: distance_m / world_m, half_angle_rad, filled: filled.min(1.0) }
+    }
+
+    /// ΔE at a point about a normal in W·m⁻², without walls and other objects between.
     pub fn change(&self, at_m: Vec3, normal: Vec3) -> Vec3 {
         let (at_m, normal) = (self.object_from_world.transform_point3(at_m), self.turn_back * normal);
         let fade = self.table.fade(at_m);
@@ -226,6 +242,35 @@ impl<'a> Standing<'a> {
             }
         });
         fade * sum
+    }
+}
+
+/// The ball around an object as a point sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cap {
+    /// Unit vector towards its middle.
+    pub towards: Vec3,
+    /// Distance of the middle in metres.
+    pub distance_m: f32,
+    /// Half angle in radians.
+    pub half_angle_rad: f32,
+    /// Share of it that the object fills.
+    pub filled: f32,
+}
+
+impl Cap {
+    /// Share of this one that a nearer one hides: as far as they overlap, and as that is filled (\[Oat2007\] eq. 4, about).
+    pub fn hidden_by(&self, nearer: &Self) -> f32 {
+        if nearer.distance_m >= self.distance_m {
+            return 0.0;
+        }
+        let apart = libm::acosf(self.towards.dot(nearer.towards).clamp(-1.0, 1.0));
+        let [own, other] = [self.half_angle_rad, nearer.half_angle_rad];
+        let (touching, within) = (own + other, (own - other).abs());
+        let area = |angle: f32| 1.0 - libm::cosf(angle);
+        let share = (area(own.min(other)) / area(own).max(f32::MIN_POSITIVE)).min(1.0);
+        let t = ((touching - apart) / (touching - within).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+        share * t * t * (3.0 - 2.0 * t) * nearer.filled
     }
 }
 

@@ -166,7 +166,8 @@ fn ball_gives_its_form_factor_and_takes_what_it_hides() {
     println!("worst of {points}: {worst}");
     assert!(points == 512 && worst < 0.12, "{worst}");
     // Beyond 12 H nothing changes, and it fades before.
-    let at = |h: f32| standing(1.0, &black).change(Vec3::new(3.0 + 0.5 * h, 1.0, 0.0), -Vec3::X).x;
+    let along = Quat::from_rotation_y(0.7) * Vec3::X;
+    let at = |h: f32| standing(1.0, &black).change(Vec3::new(3.0, 1.0, 0.0) + 0.5 * h * along, -along).x;
     assert!(at(9.9) > 0.0 && at(11.0) < at(9.9) && at(12.01) == 0.0 && at(100.0) == 0.0);
 }
 
@@ -199,4 +200,67 @@ fn cap_has_the_mean_of_the_directions_within() {
     }
     let turned = Surroundings::new(64, |direction| Mat3::from_rotation_y(1.0) * direction);
     assert_eq!(turned.radiance().len(), 64);
+}
+
+/// An object turned, moved and scaled together with the point and its surroundings changes as much, turned with it.
+#[test]
+fn turned_and_scaled_with_all_around_it_it_changes_as_much() {
+    let mut levels = ball(12);
+    levels.iter_mut().for_each(|level| level.parts[0].plane = [0.0, 1.0, 0.0, -0.5]);
+    let table = table(levels);
+    // Surroundings are in the object's frame, and so go with it.
+    let around =
+        Surroundings::new(64, |direction| Vec3::new(1.0 + direction.x, 1.0, 0.5 - 0.5 * direction.z));
+    let radiance = Arc::new(table.radiance(&[] as &[Vec4], &[Vec3::new(0.5, 2.0, 0.0)]));
+    let hidden = Arc::new(table.hidden(std::slice::from_ref(&around)));
+    let first = Affine3A::from_translation(Vec3::new(0.3, -0.2, 5.0));
+    let moved = Affine3A::from_scale_rotation_translation(
+        Vec3::splat(3.5),
+        Quat::from_euler(glam::EulerRot::XYZ, 0.4, 1.7, -0.9),
+        Vec3::new(-7.0, 2.0, 1.0),
+    );
+    let standing = |place| Standing::new(&table, place, radiance.clone(), hidden.clone());
+    let mut most = 0.0_f32;
+    for step in 0..256_u32 {
+        let direction = crate::harmonics::relight_direction(step, 256);
+        let at_m = first.transform_point3(direction * (1.1 + 0.03 * step as f32));
+        let normal = (Vec3::Y - direction).normalize();
+        let [one, other] = [
+            standing(first).change(at_m, normal),
+            standing(moved * first)
+                .change(moved.transform_point3(at_m), (Mat3::from(moved.matrix3) * normal).normalize()),
+        ];
+        most = most.max(one.abs().max_element());
+        assert!(one.distance(other) < 2e-4, "{step}: {one} {other}");
+    }
+    assert!(most > 0.1, "{most}");
+}
+
+/// A ball close before another one hides it as far as it covers it; one beside or behind it hides nothing.
+#[test]
+fn nearer_ball_hides_what_it_covers() {
+    let cap = |towards: Vec3, distance_m: f32, half_angle_rad: f32| Cap {
+        towards: towards.normalize(),
+        distance_m,
+        half_angle_rad,
+        filled: 0.8,
+    };
+    let far = cap(Vec3::Z, 4.0, 0.2);
+    assert!((far.hidden_by(&cap(Vec3::Z, 2.0, 0.5)) - 0.8).abs() < 1e-5);
+    let quarter = far.hidden_by(&cap(Vec3::Z, 2.0, 0.1));
+    assert!((quarter - 0.2).abs() < 0.01, "{quarter}");
+    let some = far.hidden_by(&cap(Vec3::new(0.3, 0.0, 1.0), 2.0, 0.25));
+    assert!(some > 0.05 && some < 0.75, "{some}");
+    for beside in [cap(Vec3::X, 2.0, 0.5), cap(Vec3::Z, 4.0, 0.5), cap(Vec3::Z, 9.0, 0.5)] {
+        assert_eq!(far.hidden_by(&beside), 0.0);
+    }
+    let table = table(ball(16));
+    let none = Surroundings::new(64, |_| Vec3::ZERO);
+    let hidden = Arc::new(table.hidden(std::slice::from_ref(&none)));
+    let place = Affine3A::from_scale_rotation_translation(Vec3::splat(2.0), Quat::IDENTITY, Vec3::X * 8.0);
+    let seen = Standing::new(&table, place, Arc::default(), hidden).cap(Vec3::ZERO);
+    // Its bounds are a cube of 4 m, and the ball around them has a radius of 2√3 m.
+    assert!((seen.distance_m - 8.0).abs() < 1e-4 && seen.towards.distance(Vec3::X) < 1e-5, "{seen:?}");
+    assert!((seen.half_angle_rad - (3.4641_f32 / 8.0).asin()).abs() < 1e-3, "{seen:?}");
+    assert!((seen.filled - 0.31).abs() < 0.04, "{seen:?}");
 }

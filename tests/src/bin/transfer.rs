@@ -1,10 +1,16 @@
 //! Holds objects that move through a bake against paths: `cargo run --release -p lightkiln-tests --bin transfer -- SCENE OBJECT x,y,z[,yaw]
-//! [NAME=VALUE…]` bakes both at draft with those settings, and prints a table. OBJECT is a file, or one of box, ball, table, panel.
+//! [NAME=VALUE…]` bakes both at draft with those settings, and prints a table. SCENE is a file, or one_box: the Cornell box without its short box;
+//! OBJECT a file, or one of box, ball, table, panel. `lights=point,sun` takes some lights, `rel_error=0.01` sets the paths' noise; `pictures=DIR
+//! "camera=eye=… target=…"` draws instead.
+
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use lightkiln_client::lights::parse_camera;
 use lightkiln_client::scene::Stance;
+use lightkiln_tests::scenes::cornell_of_one_box;
 use lightkiln_tests::scenes::movers::mover;
-use lightkiln_tests::studies::transfer::{HEAD, Setting, measured, packed, table};
+use lightkiln_tests::studies::transfer::{HEAD, Setting, measured, packed, pictures, table};
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
@@ -16,21 +22,27 @@ fn main() -> Result<()> {
     stance.position_m.copy_from_slice(numbers.get(..3).context("a place has three numbers")?);
     stance.turn_deg[0] = numbers.get(3).copied().unwrap_or(0.0);
     let mut settings = serde_json::json!({ "preset": "draft" });
-    let mut rel_error = 0.02;
+    let (mut rel_error, mut lights, mut folder, mut camera) = (0.02, Vec::new(), None, None);
     for argument in arguments {
         let (name, value) =
             argument.split_once('=').with_context(|| format!("'{argument}' is not NAME=VALUE"))?;
-        if name == "rel_error" {
-            rel_error = value.parse()?;
-        } else {
-            settings[name] = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+        match name {
+            "rel_error" => rel_error = value.parse()?,
+            "lights" => lights = value.split(',').map(str::to_owned).collect(),
+            "pictures" => folder = Some(PathBuf::from(value)),
+            "camera" => camera = Some(parse_camera(value)?),
+            _ => settings[name] = serde_json::from_str(value).unwrap_or_else(|_| value.into()),
         }
     }
     let bundle = match mover(&object) {
         Some(bytes) => bytes,
         None => packed(object.as_ref())?,
     };
-    let setting = Setting { scene: packed(scene.as_ref())?, object: bundle, stance, settings, rel_error };
-    println!("{HEAD}{}", table(&object, &measured(&setting)?)?);
+    let scene = if scene == "one_box" { cornell_of_one_box() } else { packed(scene.as_ref())? };
+    let setting = Setting { scene, object: bundle, stance, settings, rel_error, lights };
+    match folder {
+        Some(folder) => pictures(&setting, &camera.context("pictures need camera=…")?, &folder)?,
+        None => println!("{HEAD}{}", table(&object, &measured(&setting)?)?),
+    }
     Ok(())
 }

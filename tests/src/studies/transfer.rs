@@ -10,11 +10,13 @@ use glam::{Affine3A, DVec3, EulerRot, Quat, Vec3, Vec4};
 use lightkiln_client::bake::{Beside, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::kinds;
-use lightkiln_client::preview::{Backend, light_receivers_among};
+use lightkiln_client::picture::{Tone, developed, write_png};
+use lightkiln_client::preview::{Backend, View, light_receivers_among, render};
 use lightkiln_client::scene::Stance;
+use lightkiln_proto::scene::SceneCamera;
 use lightkiln_worker::evaluate::{TestLight, default_lights};
 use lightkiln_worker::geometry::{Geometry, Site};
-use lightkiln_worker::reference::{IrradianceEstimate, Precision, Reference, luminance};
+use lightkiln_worker::reference::{IrradianceEstimate, PictureSize, Precision, Reference, luminance};
 use lightkiln_worker::scene::model::Scene;
 use lightkiln_worker::scene::{self, Bundle, Limits};
 use lightkiln_worker::task::Progress;
@@ -23,6 +25,9 @@ use crate::harness::{Recipe, bake};
 
 /// Radii of an object within which its surroundings are near.
 const NEAR_RADII: f32 = 3.0;
+/// Size of pictures in pixels.
+const WIDTH: u32 = 320;
+const HEIGHT: u32 = 240;
 /// Sites near an object, and elsewhere.
 const SITES: [usize; 2] = [400, 200];
 
@@ -38,6 +43,20 @@ pub struct Setting {
     pub settings: serde_json::Value,
     /// Standard error of the reference.
     pub rel_error: f64,
+    /// Names of lights; all that suit the scene without.
+    pub lights: Vec<String>,
+}
+
+/// Scene and object, baked, and both for paths.
+struct Baked {
+    with_object: LoadedBake,
+    /// With the object's meshes alone, which indirect light ignores.
+    ignored: LoadedBake,
+    empty: LoadedBake,
+    /// The scene without the object.
+    alone: Geometry,
+    together: Geometry,
+    stance: Stance,
 }
 
 /// Errors under one light, as shares of the mean near the object; the reference's own noise is taken off.
@@ -104,38 +123,53 @@ pub fn place_of(stance: &Stance) -> Affine3A {
     Affine3A::from_scale_rotation_translation(Vec3::splat(stance.scale), turn, stance.position_m.into())
 }
 
+impl Baked {
+    fn of(setting: &Setting) -> Result<Self> {
+        let (statics, object) = (imported(&setting.scene)?, imported(&setting.object)?);
+        let place = place_of(&setting.stance);
+        let alone = Geometry::new(statics.clone())?;
+        let together = Geometry::new(statics.with_object(&object, &place))?;
+        let of_object = Arc::new(loaded(setting.object.clone(), "transfer", &setting.settings)?);
+        let mut settings = setting.settings.clone();
+        settings["voxels"] = "on".into();
+        let scene = || loaded(setting.scene.clone(), "prt", &settings);
+        let (mut with_object, mut ignored, empty) = (scene()?, scene()?, scene()?);
+        ignored.put(Beside::meshes_of(&of_object, "object"))?;
+        with_object.put(Beside::Baked { name: "object".to_owned(), bake: of_object })?;
+        Ok(Self { with_object, ignored, empty, alone, together, stance: setting.stance })
+    }
+
+    /// Middle and radius of the object where it stands, in metres.
+    fn ball(&self) -> Result<(Vec3, f32)> {
+        let mover = self.with_object.movers.first().context("there is no object")?;
+        let [low, high] = mover.bake.scene.manifest.bounds_m.map(Vec3::from);
+        let middle_m = place_of(&self.stance).transform_point3(0.5 * (low + high));
+        Ok((middle_m, 0.5 * (high - low).length() * self.stance.scale))
+    }
+
+    /// The scene's own choice of lights, as far as they are wanted.
+    fn lights(&self, wanted: &[String]) -> Vec<TestLight> {
+        let all = default_lights(&self.alone).lights.into_iter();
+        all.filter(|light| wanted.is_empty() || wanted.contains(&light.name)).collect()
+    }
+}
+
 /// Bakes scene and object and measures under the scene's own choice of lights.
 pub fn measured(setting: &Setting) -> Result<Measured> {
-    let statics = imported(&setting.scene)?;
-    let object = imported(&setting.object)?;
-    let place = place_of(&setting.stance);
-    let alone = Geometry::new(statics.clone())?;
-    let together = Geometry::new(statics.with_object(&object, &place))?;
-    let mut settings = setting.settings.clone();
-    let of_object = Arc::new(loaded(setting.object.clone(), "transfer", &settings)?);
-    settings["voxels"] = "on".into();
-    let mut with = loaded(setting.scene.clone(), "prt", &settings)?;
-    let bounds_m = of_object.scene.manifest.bounds_m.map(Vec3::from);
-    let light = || anyhow::Ok(loaded(setting.scene.clone(), "prt", &settings)?.light);
-    let (mut without, empty) = (
-        LoadedBake::new(Arc::clone(&with.scene), light()?),
-        LoadedBake::new(Arc::clone(&with.scene), light()?),
-    );
-    with.put(Beside::Baked { name: "object".to_owned(), bake: Arc::clone(&of_object) })?;
-    without.put(Beside::meshes_of(&of_object, "object"))?;
-    let middle_m = place.transform_point3(0.5 * (bounds_m[0] + bounds_m[1]));
-    let radius_m = 0.5 * (bounds_m[1] - bounds_m[0]).length() * setting.stance.scale;
-    let sites = sites(&with, &together, middle_m, radius_m)?;
+    let baked = Baked::of(setting)?;
+    let Baked { with_object: with, ignored: without, empty, alone, together, .. } = &baked;
+    let (middle_m, radius_m) = baked.ball()?;
+    let sites = sites(with, together, middle_m, radius_m)?;
     let mut found = Vec::new();
-    for chosen in default_lights(&alone).lights {
-        let reference = Reference::new(&together, &chosen.lighting)?;
+    for chosen in baked.lights(&setting.lights) {
+        let reference = Reference::new(together, &chosen.lighting)?;
         let precision = Precision { rel_error: setting.rel_error, paths_max: 1 << 15 };
         let places: Vec<Site> = sites.iter().map(|(_, site, _)| *site).collect();
         let traced = |reference: &Reference<'_>| {
             reference.irradiance(&places, &precision, &Progress::new()).context("cancelled")
         };
         let truth = traced(&reference)?;
-        let truth_alone = traced(&Reference::new(&alone, &chosen.lighting)?)?;
+        let truth_alone = traced(&Reference::new(alone, &chosen.lighting)?)?;
         let emitters = vec![chosen.lighting.emitter_scale; with.scene.manifest.emitters.len()];
         let lit = |bake: &LoadedBake| -> Result<Vec<DVec3>> {
             let (lights, panorama) = (chosen.lighting.lights.clone(), chosen.lighting.panorama.clone());
@@ -149,17 +183,17 @@ pub fn measured(setting: &Setting) -> Result<Measured> {
             };
             Ok(sites.iter().map(of).collect())
         };
-        let ours = lit(&with)?;
+        let ours = lit(with)?;
         let near = Errors::of(sites.iter().zip(&ours).zip(&truth).filter(|((site, _), _)| site.2));
         let share = |found: &[DVec3], truth: &[IrradianceEstimate], is_near: bool| {
             let pairs = sites.iter().zip(found).zip(truth).filter(|((site, _), _)| site.2 || !is_near);
             Errors::of(pairs).relative(near.mean)
         };
-        let ignored = lit(&without)?;
+        let ignored = lit(without)?;
         let shares = Shares {
             with_object: [share(&ours, &truth, true), share(&ours, &truth, false)],
             ignored: [share(&ignored, &truth, true), share(&ignored, &truth, false)],
-            alone: share(&lit(&empty)?, &truth_alone, true),
+            alone: share(&lit(empty)?, &truth_alone, true),
             energy: near.energy,
         };
         found.push((chosen, shares));
@@ -220,4 +254,54 @@ pub const HEAD: &str = "| object | light | near, % | ignored, % | ratio | bake a
 /// Reads a bundle of a file.
 pub fn packed(path: &Path) -> Result<Vec<u8>> {
     Ok(Bundle::pack_path(path, &Limits::default())?)
+}
+
+/// Draws pictures of each light from a camera: with the object, where indirect light ignores it, by paths; and the first two less the third, blue
+/// where too dark, red where too bright.
+pub fn pictures(setting: &Setting, camera: &SceneCamera, folder: &Path) -> Result<()> {
+    let baked = Baked::of(setting)?;
+    std::fs::create_dir_all(folder)?;
+    for chosen in baked.lights(&setting.lights) {
+        let size = PictureSize { width: WIDTH, height: HEIGHT, grid: 24 };
+        let reference = Reference::new(&baked.together, &chosen.lighting)?;
+        let traced = reference.picture(camera, &size, &Progress::new()).context("cancelled")?.radiance;
+        let emitters = baked.empty.scene.manifest.emitters.len();
+        let drawn = |bake: &LoadedBake| -> Result<Vec<[f32; 3]>> {
+            let view = View {
+                width: WIDTH,
+                height: HEIGHT,
+                samples: 4,
+                panorama: chosen.lighting.panorama.clone(),
+                emitter_scale: vec![chosen.lighting.emitter_scale; emitters],
+                objects: vec![baked.stance],
+                ..View::new(camera.clone(), chosen.lighting.lights.clone())
+            };
+            Ok(render(bake, &view, Backend::Cpu)?.linear)
+        };
+        let all = [drawn(&baked.with_object)?, drawn(&baked.ignored)?, traced];
+        let value = |rgb: &[f32; 3]| luminance(DVec3::from(rgb.map(f64::from))) as f32;
+        let mean = all[2].iter().map(value).sum::<f32>() / all[2].len() as f32;
+        let heat = |picture: &[[f32; 3]]| -> Vec<[u8; 4]> {
+            let of = |(own, truth): (&[f32; 3], &[f32; 3])| {
+                let off = ((value(own) - value(truth)) / (0.3 * mean)).clamp(-1.0, 1.0);
+                let [less, more] = [-off, off].map(|off| ((1.0 - off.max(0.0)) * 255.0) as u8);
+                [less, less.min(more), more, 255]
+            };
+            picture.iter().zip(&all[2]).map(of).collect()
+        };
+        let exposure = 0.35 / mean;
+        let mut panels: Vec<Vec<[u8; 4]>> =
+            all.iter().map(|picture| developed(picture, exposure, Tone::default())).collect();
+        panels.extend([heat(&all[0]), heat(&all[1])]);
+        let across = WIDTH as usize * panels.len();
+        let mut pixels = vec![[0; 4]; across * HEIGHT as usize];
+        for (number, panel) in panels.iter().enumerate() {
+            for (row, line) in panel.chunks(WIDTH as usize).enumerate() {
+                let first = row * across + number * WIDTH as usize;
+                pixels[first..first + WIDTH as usize].copy_from_slice(line);
+            }
+        }
+        write_png(&folder.join(format!("{}.png", chosen.name)), across as u32, HEIGHT, &pixels)?;
+    }
+    Ok(())
 }

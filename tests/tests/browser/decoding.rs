@@ -32,7 +32,9 @@ fn fixtures() -> Vec<(String, Vec<u8>)> {
         .filter_map(|path| Some((name(&path)?, path)))
         .filter(|(name, _)| {
             name.ends_with(&ending)
-                && !["probes", "field", "tetrahedra", "voxels", "transfer"].iter().any(|kind| name.starts_with(kind))
+                && !["probes", "field", "tetrahedra", "voxels", "transfer"]
+                    .iter()
+                    .any(|kind| name.starts_with(kind))
         })
         .map(|(name, path)| (name, std::fs::read(path).expect("a fixture can be read")))
         .collect();

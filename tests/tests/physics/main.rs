@@ -27,5 +27,6 @@ mod shown;
 mod slopes;
 mod smallest;
 mod stripes;
+mod transfer;
 mod transforms;
 mod voxels;

@@ -1,7 +1,7 @@
 //! Change of irradiance by objects, on the processor.
 
 use glam::Vec3;
-use lightkiln_proto::transfer::Standing;
+use lightkiln_proto::transfer::{Cap, Standing};
 
 use crate::error::Result;
 use crate::lights::{Caster, Shape};
@@ -56,14 +56,24 @@ impl Sight {
     }
 }
 
-/// `Σ v ΔE` of all objects but one at a surface, W·m⁻².
+/// `Σ v h ΔE` of all objects but one at a surface, W·m⁻²; h is the share of an object that nearer ones leave in sight.
 pub fn change(effects: &[Effect<'_>], but: Option<usize>, at_m: Vec3, normal: Vec3, facet: Vec3) -> Vec3 {
-    let of = |(index, effect): (usize, &Effect<'_>)| {
-        if but == Some(index) || !effect.standing.reaches(at_m) {
-            return Vec3::ZERO;
-        }
-        let change = effect.standing.change(at_m, normal);
-        if change == Vec3::ZERO { change } else { change * effect.sight.share(at_m, facet) }
+    let is_other =
+        |(index, effect): &(usize, &Effect<'_>)| but != Some(*index) && effect.standing.reaches(at_m);
+    let near: Vec<&Effect<'_>> =
+        effects.iter().enumerate().filter(is_other).map(|(_, effect)| effect).collect();
+    let caps: Vec<Cap> = if near.len() > 1 {
+        near.iter().map(|effect| effect.standing.cap(at_m)).collect()
+    } else {
+        Vec::new()
     };
-    effects.iter().enumerate().map(of).sum()
+    let of = |(index, effect): (usize, &&Effect<'_>)| {
+        let change = effect.standing.change(at_m, normal);
+        if change == Vec3::ZERO {
+            return change;
+        }
+        let left = |own: &Cap| caps.iter().map(|nearer| 1.0 - own.hidden_by(nearer)).product::<f32>();
+        change * effect.sight.share(at_m, facet) * caps.get(index).map_or(1.0, left)
+    };
+    near.iter().enumerate().map(of).sum()
 }

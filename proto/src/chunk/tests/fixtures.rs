@@ -10,9 +10,7 @@ use crate::kinds::field::{
     decode_field, decode_tetrahedra, encode_field, encode_tetrahedra,
 };
 use crate::kinds::sh::*;
-use crate::transfer::{
-    PartGlow, PartPatch, TransferLevel, TransferPart, decode_transfer, encode_transfer,
-};
+use crate::transfer::{PartGlow, PartPatch, TransferLevel, TransferPart, decode_transfer, encode_transfer};
 use crate::voxels::{
     Brick, BrickKey, Element, Glow, NormalCode, Voxel, VoxelPart, decode_voxels, encode_voxels,
 };
@@ -352,7 +350,13 @@ fn transfer() -> TransferLevel {
     let back = TransferPart { steps: [0.0, 0.0078125], ..TransferPart::default() };
     let code = |index: usize| [index as i8, -(index as i8), 7, 127 - index as i8];
     let codes = (0..125).map(code).chain((0..125).map(|index| [0, 0, 0, index as i8])).collect();
-    TransferLevel { level: 1, box_m: [[-1.0, 0.0, -2.0], [1.0, 2.5, -1.0]], nodes: 5, parts: vec![side, back], codes }
+    TransferLevel {
+        level: 1,
+        box_m: [[-1.0, 0.0, -2.0], [1.0, 2.5, -1.0]],
+        nodes: 5,
+        parts: vec![side, back],
+        codes,
+    }
 }
 
 #[test]

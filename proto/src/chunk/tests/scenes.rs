@@ -141,15 +141,24 @@ pub(super) fn field(probes: usize, rank: u32, seed: u64) -> FieldPart {
 pub(super) fn transfer(nodes: u32) -> TransferLevel {
     let count = (nodes as usize).pow(3);
     let part = |number: u32| TransferPart {
-        patches: (0..3 * (number % 3)).map(|at| PartPatch { key: PatchKey(u64::from(at)), share: 0.1 }).collect(),
+        patches: (0..3 * (number % 3))
+            .map(|at| PartPatch { key: PatchKey(u64::from(at)), share: 0.1 })
+            .collect(),
         glows: (0..number).map(|emitter| PartGlow { emitter: emitter as u16, share: [0.5; 3] }).collect(),
         middle_m: [number as f32, 0.5, -0.5],
         plane: if number == 1 { [0.0; 4] } else { [0.6, 0.0, 0.8, number as f32] },
         steps: [0.01, 0.02],
     };
-    let code = |index: usize| [(index % 100) as i8, (index % 7) as i8, -((index % 11) as i8), (index % 127) as i8];
+    let code =
+        |index: usize| [(index % 100) as i8, (index % 7) as i8, -((index % 11) as i8), (index % 127) as i8];
     let codes = (0..4 * count).map(code).collect();
-    TransferLevel { level: 2, box_m: [[-1.0; 3], [1.0, 2.0, 0.5]], nodes, parts: (0..4).map(part).collect(), codes }
+    TransferLevel {
+        level: 2,
+        box_m: [[-1.0; 3], [1.0, 2.0, 0.5]],
+        nodes,
+        parts: (0..4).map(part).collect(),
+        codes,
+    }
 }
 
 /// Voxels of so many levels with every kind of element: of one normal and of many, of patches near and far, dark, glowing.

@@ -4,7 +4,7 @@
 use super::{
     BRICKS_MAX, Brick, ChunkRef, ClusterRow, ClusterTransport, FieldPart, Geometry, MAP_POINTS, MOVES_MAX,
     NearHits, NearSurface, PROBE_ROWS, PatchKey, PatchSet, ProbeBatch, Receivers, RelightHit, TetrahedronSet,
-    VOXEL_LEVELS_MAX, VoxelPart,
+    TransferLevel, VOXEL_LEVELS_MAX, VoxelPart,
 };
 
 /// Every array has its length, every index its target, every number is finite.

@@ -291,7 +291,8 @@ fn check_transfer(bytes: &[u8]) {
     let slots = lightkiln_proto::relight::SlotTable::new([]).expect("there are none");
     let none = PatchSet { leaf_starts: vec![0], ..PatchSet::default() };
     let patches = lightkiln_proto::relight::PatchTable::new(&none, &slots).expect("there are none");
-    let levels = (0..TRANSFER_LEVELS).map(|level_number| TransferLevel { level: level_number, ..level.clone() });
+    let levels =
+        (0..TRANSFER_LEVELS).map(|level_number| TransferLevel { level: level_number, ..level.clone() });
     if let Ok(table) = TransferTable::new(levels.collect(), &patches) {
         for at in [[0.0; 3], [1.0, 2.0, 3.0], level.box_m[0], level.box_m[1]] {
             table.covered(at.into(), |covered, weight| {

@@ -1,0 +1,254 @@
+//! Objects that move through bakes: what they give and take, and what they never change.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3, Vec4};
+use lightkiln_client::bake::{Beside, LoadedBake};
+use lightkiln_client::fetch::Source;
+use lightkiln_client::kinds;
+use lightkiln_client::lights::{parse_camera, parse_lights};
+use lightkiln_client::preview::{Backend, View, light_receivers_among, render};
+use lightkiln_client::scene::Stance;
+use lightkiln_proto::transfer::{TRANSFER, decode_transfer};
+use lightkiln_tests::harness::{Recipe, bake};
+use lightkiln_tests::scenes::glb::Surface;
+use lightkiln_tests::scenes::movers::{alone, ball, cuboid, mover};
+use lightkiln_tests::scenes::{cornell_of_one_box, furnace, two_rooms};
+use lightkiln_tests::studies::transfer::{Setting, measured};
+use lightkiln_worker::reference::luminance;
+
+use super::setup::with_texels;
+
+fn object_recipe() -> Recipe {
+    with_texels("transfer", 0.1, 64).with("transfer_rays", 256).with("transfer_nodes", 12)
+}
+
+fn scene_recipe(texel_m: f32) -> Recipe {
+    with_texels("prt", texel_m, 64).with("voxels", "on")
+}
+
+fn loaded(folder: &Path, scene: Vec<u8>, recipe: &Recipe) -> LoadedBake {
+    bake(scene, recipe).unwrap().write(folder).unwrap();
+    LoadedBake::load(&Source::bundle(folder).unwrap(), &kinds::all()).unwrap()
+}
+
+fn fresh(scene: Vec<u8>, recipe: &Recipe) -> LoadedBake {
+    loaded(tempfile::tempdir().unwrap().path(), scene, recipe)
+}
+
+fn at(x: f32, y: f32, z: f32) -> Stance {
+    Stance { position_m: [x, y, z], ..Stance::default() }
+}
+
+/// Indirect light at receivers under a light in words, emitters at full.
+fn indirect(bake: &LoadedBake, lights: &[&str], stances: &[Stance]) -> Vec<Vec4> {
+    let lights = parse_lights(lights).unwrap().lights;
+    let lit = light_receivers_among(bake, lights, None, Vec::new(), stances, Backend::Cpu).unwrap();
+    let light = lit.settled.light;
+    light.indirect.iter().zip(&light.emit).map(|(ind, emit)| *ind + *emit).collect()
+}
+
+/// A bake with objects in it.
+fn with(mut bake: LoadedBake, objects: &[Arc<LoadedBake>]) -> LoadedBake {
+    for object in objects {
+        bake.put(Beside::Baked { name: "object".to_owned(), bake: object.clone() }).unwrap();
+    }
+    bake
+}
+
+/// Root mean square of the difference over the mean, of luminances.
+fn apart(found: &[Vec4], wanted: &[Vec4]) -> f64 {
+    let value = |light: &Vec4| luminance(light.truncate().as_dvec3());
+    let squares: f64 = found.iter().zip(wanted).map(|(a, b)| (value(a) - value(b)).powi(2)).sum();
+    let mean = wanted.iter().map(value).sum::<f64>() / wanted.len() as f64;
+    (squares / wanted.len() as f64).sqrt() / mean
+}
+
+#[test]
+fn object_of_the_furnace_changes_nothing_in_a_white_furnace() {
+    let surface = || Surface::diffuse("furnace", [0.5; 3]).emitting([1.0; 3]);
+    let object = Arc::new(fresh(alone("ball", &ball(0.5), surface()), &object_recipe()));
+    let without = fresh(furnace(0.5, 1.0, 4.0), &scene_recipe(0.25));
+    let wanted = indirect(&without, &[], &[]);
+    let bake = with(without, &[object]);
+    for stance in [at(0.0, 0.6, 0.0), at(-0.9, 0.02, 0.7), at(0.3, 2.9, -1.2)] {
+        let found = indirect(&bake, &[], &[stance]);
+        let worst = found.iter().zip(&wanted).map(|(a, b)| ((a.x - b.x) / b.x).abs()).fold(0.0, f32::max);
+        println!("{:?}: apart {:.4}, at worst {worst:.4}", stance.position_m, apart(&found, &wanted));
+        assert!(apart(&found, &wanted) < 0.005, "{}", apart(&found, &wanted));
+        assert!(worst < 0.03, "{worst}");
+    }
+}
+
+#[test]
+fn object_beside_a_thin_wall_changes_nothing_beyond_it() {
+    let object = Arc::new(fresh(mover("panel").unwrap(), &object_recipe()));
+    for thickness_m in [0.02, 0.0] {
+        let without = fresh(two_rooms(thickness_m), &scene_recipe(0.125));
+        let before = indirect(&without, &[], &[at(0.0, 0.0, 0.0)][..0]);
+        let receivers = |bake: &LoadedBake| -> Vec<Vec3> {
+            let map = bake.light.lightmap(&bake.scene).unwrap();
+            map.receivers.position_m.iter().map(|place| place.truncate()).collect()
+        };
+        let places = receivers(&without);
+        let bake = with(without, std::slice::from_ref(&object));
+        let lit_side = places.iter().zip(&before).filter(|(_, light)| light.x > 0.0).map(|(at_m, _)| at_m.x);
+        let side = lit_side.fold(0.0_f32, |most, x| if x.abs() > most.abs() { x } else { most }).signum();
+        // Along the wall, 2 cm before it.
+        let stance = Stance { turn_deg: [90.0, 0.0, 0.0], ..at(side * (0.06 + 0.5 * thickness_m), 0.1, 0.1) };
+        let after = indirect(&bake, &[], &[stance]);
+        let (mut beyond, mut changed) = (0, 0);
+        for ((place, before), after) in places.iter().zip(&before).zip(&after) {
+            if place.x * side < -0.5 * thickness_m - 1e-4 {
+                beyond += 1;
+                assert_eq!(before, after, "{place}");
+            } else {
+                changed += usize::from(before != after);
+            }
+        }
+        println!("{beyond} receivers beyond, {changed} changed before the wall");
+        assert!(beyond > 1000 && changed > 1000, "{beyond} {changed}");
+        // By pixel likewise.
+        let (mut view, _) = View::of_bake(
+            &bake,
+            Some(parse_camera(&format!("eye={},1.6,0 target={},1.2,0 fov=90", -3.6 * side, -side)).unwrap()),
+            Some(Vec::new()),
+        )
+        .unwrap();
+        (view.width, view.height, view.samples) = (96, 64, 1);
+        let dark = [at(side * 50.0, 0.0, 0.0), stance].map(|stance| {
+            view.objects = vec![stance];
+            render(&bake, &view, Backend::Cpu).unwrap().linear
+        });
+        assert_eq!(dark[0], dark[1]);
+    }
+}
+
+/// Near an object its effect is nearer to paths than its absence is by half, and colours what is around it.
+#[test]
+fn box_and_panel_give_and_take_as_paths_do() {
+    for (name, place) in [("box", [-1.0, 0.0, -1.2]), ("panel", [1.3, 0.0, -1.5])] {
+        let setting = Setting {
+            scene: cornell_of_one_box(),
+            object: mover(name).unwrap(),
+            stance: Stance { position_m: place, turn_deg: [25.0, 0.0, 0.0], ..Stance::default() },
+            settings: serde_json::json!({"preset": "draft", "texel_m": 0.25, "transport_rays": 256}),
+            rel_error: 0.03,
+            lights: Vec::new(),
+        };
+        for (light, shares) in measured(&setting).unwrap() {
+            println!("{name} {}: {shares:?}", light.name);
+            let [own, ignored, alone] = [shares.with_object[0], shares.ignored[0], shares.alone];
+            // The error that the bake has without any object is no fault of it.
+            let of_object = (own * own - alone * alone).max(0.0).sqrt();
+            let of_ignoring = (ignored * ignored - alone * alone).max(0.0).sqrt();
+            assert!(of_object < 0.62 * of_ignoring, "{name} {}: {of_object} {of_ignoring}", light.name);
+            assert!((0.95..1.05).contains(&shares.energy), "{}: {}", light.name, shares.energy);
+        }
+    }
+}
+
+#[test]
+fn halves_of_a_box_change_what_the_whole_does() {
+    let surface = || Surface::diffuse("box", [0.6, 0.2, 0.1]);
+    let half = |x: f32| cuboid(Vec3::new(x, 0.5, 0.0), Vec3::new(0.6, 1.0, 1.0));
+    let whole = cuboid(Vec3::new(0.0, 0.5, 0.0), Vec3::new(1.2, 1.0, 1.0));
+    let [whole, left, right] = [whole, half(-0.3), half(0.3)]
+        .map(|mesh| Arc::new(fresh(alone("box", &mesh, surface()), &object_recipe())));
+    let scene = || fresh(cornell_of_one_box(), &scene_recipe(0.25));
+    let place = at(1.0, 0.0, -1.6);
+    let [one, two] = [with(scene(), &[whole]), with(scene(), &[left, right])].map(|bake| {
+        indirect(&bake, &["sky horizon=2,2,2 zenith=2,2,2"], &[place, place][..bake.movers.len()])
+    });
+    let ignored = indirect(&scene(), &["sky horizon=2,2,2 zenith=2,2,2"], &[]);
+    println!("apart {:.4}, ignored {:.4}", apart(&two, &one), apart(&ignored, &one));
+    assert!(apart(&two, &one) < 0.03 && apart(&ignored, &one) > 0.1, "{}", apart(&two, &one));
+}
+
+/// However many objects touch each other, light is never negative, and stays below that without them where they are black.
+#[test]
+fn ten_black_balls_in_a_heap_take_no_more_than_there_is() {
+    let black = Surface::diffuse("soot", [0.0; 3]);
+    let object = Arc::new(fresh(alone("ball", &ball(0.4), black), &object_recipe()));
+    let without = fresh(cornell_of_one_box(), &scene_recipe(0.25));
+    let before = indirect(&without, &["sky horizon=1,1,1 zenith=1,1,1"], &[]);
+    let bake = with(without, &vec![object; 10]);
+    let heap = |index: usize| {
+        at(0.9 + 0.5 * (index % 3) as f32, 0.7 * (index / 6) as f32, -2.0 + 0.6 * (index / 3 % 2) as f32)
+    };
+    let stances: Vec<Stance> = (0..10).map(heap).collect();
+    let after = indirect(&bake, &["sky horizon=1,1,1 zenith=1,1,1"], &stances);
+    assert!(after.iter().all(|light| light.min_element() >= 0.0 && light.is_finite()));
+    let sum = |light: &[Vec4]| light.iter().map(|light| luminance(light.truncate().as_dvec3())).sum::<f64>();
+    println!("left {:.3}", sum(&after) / sum(&before));
+    assert!(sum(&after) < 0.95 * sum(&before));
+}
+
+/// Volumes hang on shape alone: another colour, and other threads, give the same codes.
+#[test]
+fn volumes_have_no_colour_and_the_same_bytes_on_any_number_of_threads() {
+    let of = |albedo: [f32; 3], threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let scene = alone("ball", &ball(0.5), Surface::diffuse("ball", albedo));
+        pool.install(|| bake(scene, &object_recipe())).unwrap()
+    };
+    let [white, grey, again] =
+        [([0.9; 3], 2), ([0.2; 3], 1), ([0.9; 3], 1)].map(|(albedo, threads)| of(albedo, threads));
+    assert_eq!(white.manifest_bytes, again.manifest_bytes);
+    let volumes = |bake: &lightkiln_tests::harness::LocalBake| -> Vec<_> {
+        let chunks = bake.manifest.chunks(TRANSFER).iter();
+        chunks.map(|chunk| decode_transfer(&bake.chunk(chunk.digest).unwrap()).unwrap()).collect()
+    };
+    let found = volumes(&white);
+    assert_eq!(found, volumes(&grey));
+    assert_eq!(found.iter().map(|level| level.level).collect::<Vec<_>>(), [3, 2, 1, 0]);
+    assert_ne!(white.manifest_bytes, grey.manifest_bytes);
+    // A ball is seen as π sin²α, from each node outside it.
+    for level in &found {
+        let lattice = lightkiln_proto::transfer::Lattice::new(level.box_m, level.level, level.nodes);
+        let mut worst = 0.0_f32;
+        for node in 0..level.node_count() {
+            let away_m = lattice.node_m(node).distance(lattice.middle_m);
+            if away_m < 0.52 {
+                continue;
+            }
+            let sum = |part: usize| {
+                let code = level.codes_of(part)[node].map(f32::from);
+                Vec3::new(code[0], code[1], code[2]) * level.parts[part].steps[0]
+            };
+            let vector: Vec3 = (0..level.parts.len()).map(sum).sum();
+            let wanted = std::f32::consts::PI * (0.5 / away_m).powi(2);
+            worst = worst.max((vector.length() - wanted).abs());
+        }
+        println!("level {}: {} parts, worst {worst:.4}", level.level, level.parts.len());
+        assert!(worst < 0.1, "{worst}");
+    }
+}
+
+/// A picture reads what receivers are told: an object's effect is counted once, and its own surfaces are lit.
+#[test]
+fn pixels_and_receivers_see_the_same_effect_and_the_object_is_lit() {
+    let object = Arc::new(fresh(mover("box").unwrap(), &object_recipe()));
+    let bake = with(fresh(cornell_of_one_box(), &scene_recipe(0.25)), &[object]);
+    let light = ["sky horizon=2,2,2 zenith=2,2,2"];
+    let stances = [at(0.9, 0.0, -1.6), at(40.0, 0.0, 0.0)];
+    let camera = parse_camera("eye=0.9,3.4,1.2 target=0.9,0,-1.2 fov=55").unwrap();
+    let lights = parse_lights(&light).unwrap().lights;
+    let (mut view, _) = View::of_bake(&bake, Some(camera), Some(lights)).unwrap();
+    (view.width, view.height, view.samples) = (120, 90, 1);
+    view.emitter_scale = vec![0.0; bake.scene.manifest.emitters.len()];
+    let [with_box, without] = stances.map(|stance| {
+        view.objects = vec![stance];
+        render(&bake, &view, Backend::Cpu).unwrap().linear
+    });
+    let value = |rgb: &[f32; 3]| luminance(DVec3::from(rgb.map(f64::from)));
+    // The box is red and lit; the floor before it darker than without it.
+    let is_red = |rgb: &&[f32; 3]| rgb[0] > 2.0 * rgb[2] && value(rgb) > 0.02;
+    let red = with_box.iter().filter(is_red).count();
+    assert!(red > 500, "{red} pixels of the box are lit");
+    let darker = with_box.iter().zip(&without).filter(|(a, b)| value(a) < 0.9 * value(b)).count();
+    let doubled = with_box.iter().zip(&without).filter(|(a, b)| value(a) < 0.15 * value(b)).count();
+    println!("{red} red, {darker} darker, {doubled} black of {}", with_box.len());
+    assert!(darker > 300, "{darker}");
+}
