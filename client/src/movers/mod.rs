@@ -39,7 +39,7 @@ struct Placed<'a> {
 
 /// Light of an object.
 struct Lit<'a> {
-    indirect: Box<dyn IndirectIrradiance + 'a>,
+    indirect: FromViewpoints<'a>,
     /// What each part hides, likewise.
     hidden: Arc<Vec<Vec<Surroundings>>>,
     /// By level and part.
@@ -137,18 +137,26 @@ impl<'a> Standings<'a> {
             };
             let seen: Vec<Surroundings> =
                 viewpoints_m(volume.box_m(), is_long).into_iter().map(look).collect();
-            let surroundings =
-                Surroundings::mixed(&seen, &view_weights(volume.box_m(), seen.len(), volume.middle_m()));
             let own = moved.objects.get(index).map(Vec::as_slice);
-            let among = Among { around: Some(surroundings.radiance()), moved: own, ..among };
             let unshadowed = Unshadowed { emitter_scale: &[], panorama: None, ..lit.unshadowed };
             let of_object = LitScene { scene: &mover.bake.scene, unshadowed, lod: None, ..*lit };
-            let SettledLight { indirect, walks, .. } = mover.bake.light.settle(&of_object, &among, limit);
-            let radiance = walks
-                .as_ref()
+            let settled: Vec<SettledLight<'a>> = seen
+                .iter()
+                .map(|seen| {
+                    let among = Among { around: Some(seen.radiance()), moved: own, ..among };
+                    mover.bake.light.settle(&of_object, &among, limit)
+                })
+                .collect();
+            let by_viewpoint: Vec<_> = settled
+                .iter()
+                .filter_map(|settled| settled.walks.as_ref())
                 .map(|walks| volume.radiance(&walks.lambda, &walks.emitters))
-                .unwrap_or_default();
-            Lit { indirect, hidden: Arc::new(volume.hidden(&seen)), radiance: Arc::new(radiance) }
+                .collect();
+            let radiance = Arc::new(volume.mixed(&by_viewpoint));
+            let indirect = settled.into_iter().map(|settled| settled.indirect).collect();
+            let object_from_world = world_from_object.inverse();
+            let indirect = FromViewpoints { indirect, box_m: volume.box_m(), object_from_world };
+            Lit { indirect, hidden: Arc::new(volume.hidden(&seen)), radiance }
         };
         self.placed.iter().enumerate().map(of).collect()
     }
@@ -214,8 +222,31 @@ struct WithObjects<'a> {
     indirect: Box<dyn IndirectIrradiance + 'a>,
     placed: &'a [Placed<'a>],
     /// Of each object.
-    lights: Vec<Box<dyn IndirectIrradiance + 'a>>,
+    lights: Vec<FromViewpoints<'a>>,
     effects: Vec<Effect<'a>>,
+}
+
+/// Light of an object in the surroundings that each of its viewpoints sees, mixed by the place on it.
+struct FromViewpoints<'a> {
+    indirect: Vec<Box<dyn IndirectIrradiance + 'a>>,
+    box_m: [[f32; 3]; 2],
+    object_from_world: Affine3A,
+}
+
+impl IndirectIrradiance for FromViewpoints<'_> {
+    fn prepare_view(&mut self, view: &ShadeView, size: [u32; 2]) {
+        self.indirect.iter_mut().for_each(|light| light.prepare_view(view, size));
+    }
+
+    fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
+        let at_m = self.object_from_world.transform_point3(surface.position);
+        let weights = view_weights(self.box_m, self.indirect.len(), at_m);
+        self.indirect
+            .iter()
+            .zip(weights)
+            .map(|(light, weight)| weight * light.indirect_irradiance(surface))
+            .sum()
+    }
 }
 
 impl IndirectIrradiance for WithObjects<'_> {

@@ -135,6 +135,18 @@ impl TransferTable {
         self.levels.iter().map(|(level, _)| level.parts.iter().map(of_part).collect()).collect()
     }
 
+    /// Radiance of each part by level, of that in the surroundings of each of [`super::viewpoints_m`].
+    pub fn mixed(&self, by_viewpoint: &[Vec<Vec<Vec3>>]) -> Vec<Vec<Vec3>> {
+        let of_level = |(number, (level, _)): (usize, &(TransferLevel, Lattice))| {
+            let of_part = |(at, part): (usize, &TransferPart)| {
+                let weights = view_weights(self.box_m(), by_viewpoint.len(), part.middle_m.into());
+                by_viewpoint.iter().zip(weights).map(|(own, weight)| weight * own[number][at]).sum()
+            };
+            level.parts.iter().enumerate().map(of_part).collect()
+        };
+        self.levels.iter().enumerate().map(of_level).collect()
+    }
+
     /// Weight of the object's effect on a point in its frame: 1 near it, 0 from [`REACH_H`] on.
     pub fn fade(&self, at_m: Vec3) -> f32 {
         let distance = (at_m - self.middle_m).abs().max_element() / self.h_m.max(f32::MIN_POSITIVE);

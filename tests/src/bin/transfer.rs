@@ -1,5 +1,5 @@
 //! Holds objects that move through a bake against paths: `cargo run --release -p lightkiln-tests --bin transfer -- SCENE OBJECT x,y,z[,yaw]
-//! [NAME=VALUE…]` bakes both at draft with those settings, and prints a table. SCENE is a file, or one_box: the Cornell box without its short box;
+//! [NAME=VALUE…]` bakes both at draft with those settings, those of the object as object.NAME=VALUE, and prints a table. SCENE is a file, or one_box: the Cornell box without its short box;
 //! OBJECT a file, or one of box, ball, table, panel. `lights=point,sun` takes some lights, `rel_error=0.01` sets the paths' noise; `pictures=DIR
 //! "camera=eye=… target=…"` draws instead.
 
@@ -22,6 +22,7 @@ fn main() -> Result<()> {
     stance.position_m.copy_from_slice(numbers.get(..3).context("a place has three numbers")?);
     stance.turn_deg[0] = numbers.get(3).copied().unwrap_or(0.0);
     let mut settings = serde_json::json!({ "preset": "draft" });
+    let mut object_settings = settings.clone();
     let (mut rel_error, mut lights, mut folder, mut camera) = (0.02, Vec::new(), None, None);
     for argument in arguments {
         let (name, value) =
@@ -31,6 +32,9 @@ fn main() -> Result<()> {
             "lights" => lights = value.split(',').map(str::to_owned).collect(),
             "pictures" => folder = Some(PathBuf::from(value)),
             "camera" => camera = Some(parse_camera(value)?),
+            _ if name.starts_with("object.") => {
+                object_settings[&name[7..]] = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+            }
             _ => settings[name] = serde_json::from_str(value).unwrap_or_else(|_| value.into()),
         }
     }
@@ -39,7 +43,7 @@ fn main() -> Result<()> {
         None => packed(object.as_ref())?,
     };
     let scene = if scene == "one_box" { cornell_of_one_box() } else { packed(scene.as_ref())? };
-    let setting = Setting { scene, object: bundle, stance, settings, rel_error, lights };
+    let setting = Setting { scene, object: bundle, stance, settings, object_settings, rel_error, lights };
     match folder {
         Some(folder) => pictures(&setting, &camera.context("pictures need camera=…")?, &folder)?,
         None => println!("{HEAD}{}", table(&object, &measured(&setting)?)?),

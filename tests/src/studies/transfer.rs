@@ -21,6 +21,8 @@ use lightkiln_worker::scene::model::Scene;
 use lightkiln_worker::scene::{self, Bundle, Limits};
 use lightkiln_worker::task::Progress;
 
+use tempfile::TempDir;
+
 use crate::harness::{Recipe, bake};
 
 /// Radii of an object within which its surroundings are near.
@@ -39,8 +41,10 @@ pub struct Setting {
     pub object: Vec<u8>,
     /// Where it stands.
     pub stance: Stance,
-    /// Settings of both bakes.
+    /// Settings of the scene's bake.
     pub settings: serde_json::Value,
+    /// Settings of the object's.
+    pub object_settings: serde_json::Value,
     /// Standard error of the reference.
     pub rel_error: f64,
     /// Names of lights; all that suit the scene without.
@@ -109,10 +113,14 @@ fn imported(bundle: &[u8]) -> Result<Scene> {
     Ok(scene::import(&opened, &Limits::default())?.scene)
 }
 
-fn loaded(bundle: Vec<u8>, kind: &'static str, settings: &serde_json::Value) -> Result<LoadedBake> {
-    let made = bake(bundle, &Recipe { kind, settings: settings.clone() })?;
+fn baked(bundle: &[u8], kind: &'static str, settings: &serde_json::Value) -> Result<TempDir> {
+    let made = bake(bundle.to_vec(), &Recipe { kind, settings: settings.clone() })?;
     let folder = tempfile::tempdir()?;
     made.write(folder.path())?;
+    Ok(folder)
+}
+
+fn loaded(folder: &TempDir) -> Result<LoadedBake> {
     Ok(LoadedBake::load(&Source::bundle(folder.path())?, &kinds::all())?)
 }
 
@@ -129,11 +137,11 @@ impl Baked {
         let place = place_of(&setting.stance);
         let alone = Geometry::new(statics.clone())?;
         let together = Geometry::new(statics.with_object(&object, &place))?;
-        let of_object = Arc::new(loaded(setting.object.clone(), "transfer", &setting.settings)?);
+        let of_object = Arc::new(loaded(&baked(&setting.object, "transfer", &setting.object_settings)?)?);
         let mut settings = setting.settings.clone();
         settings["voxels"] = "on".into();
-        let scene = || loaded(setting.scene.clone(), "prt", &settings);
-        let (mut with_object, mut ignored, empty) = (scene()?, scene()?, scene()?);
+        let scene = baked(&setting.scene, "prt", &settings)?;
+        let [mut with_object, mut ignored, empty] = [loaded(&scene)?, loaded(&scene)?, loaded(&scene)?];
         ignored.put(Beside::meshes_of(&of_object, "object"))?;
         with_object.put(Beside::Baked { name: "object".to_owned(), bake: of_object })?;
         Ok(Self { with_object, ignored, empty, alone, together, stance: setting.stance })

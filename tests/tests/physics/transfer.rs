@@ -134,8 +134,10 @@ fn box_and_panel_give_and_take_as_paths_do() {
             object: mover(name).unwrap(),
             stance: Stance { position_m: place, turn_deg: [25.0, 0.0, 0.0], ..Stance::default() },
             settings: serde_json::json!({"preset": "draft", "texel_m": 0.25, "transport_rays": 256}),
+            object_settings: serde_json::json!({"preset": "draft", "texel_m": 0.1, "transport_rays": 64}),
             rel_error: 0.03,
-            lights: Vec::new(),
+            // Ends of hard shadows within texels of 25 cm are as wrong with an object as where it is ignored.
+            lights: ["point", "sky-uniform", "emitters"].map(str::to_owned).into(),
         };
         for (light, shares) in measured(&setting).unwrap() {
             println!("{name} {}: {shares:?}", light.name);
@@ -143,7 +145,7 @@ fn box_and_panel_give_and_take_as_paths_do() {
             // The error that the bake has without any object is no fault of it.
             let of_object = (own * own - alone * alone).max(0.0).sqrt();
             let of_ignoring = (ignored * ignored - alone * alone).max(0.0).sqrt();
-            assert!(of_object < 0.62 * of_ignoring, "{name} {}: {of_object} {of_ignoring}", light.name);
+            assert!(of_object < 0.5 * of_ignoring, "{name} {}: {of_object} {of_ignoring}", light.name);
             assert!((0.95..1.05).contains(&shares.energy), "{}: {}", light.name, shares.energy);
         }
     }
