@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
-use lightkiln_proto::transfer::{Standing, Surroundings, TransferTable, view_weights, viewpoints_m};
+use lightkiln_proto::transfer::{Standing, Surroundings, TransferTable, Viewpoints};
+use lightkiln_proto::voxels::{Start, WalkLight, walk_within};
 use rayon::prelude::*;
 
 use crate::bake::{Among, LitScene, LoadedBake, Mover, SettledLight, SettledReceivers, Unshadowed};
@@ -66,6 +67,7 @@ impl<'a> Standings<'a> {
             return settled;
         }
         let mut moved_before = Moved::default();
+        let mut has_settled = false;
         for _ in 0..ROUNDS_MAX {
             let lights = self.light_objects(lit, &settled, &moved_before, limit);
             let effects = effects(placed, &lights);
@@ -75,6 +77,7 @@ impl<'a> Standings<'a> {
             let next = bake.light.settle(lit, &among, limit);
             settled = SettledLight { converged: next.converged && settled.converged, ..next };
             moved_before = moved;
+            has_settled = is_last;
             if is_last {
                 break;
             }
@@ -84,7 +87,7 @@ impl<'a> Standings<'a> {
         let effects = effects(placed, &lights);
         let lights = lights.into_iter().map(|light| light.indirect).collect();
         let with = WithObjects { indirect, placed, lights, effects };
-        SettledLight { indirect: Box::new(with), walks, bounces, converged }
+        SettledLight { indirect: Box::new(with), walks, bounces, converged: converged && has_settled }
     }
 
     /// Light at the bake's own receivers, E_ind with what objects give and take; `None` for a kind without receivers.
@@ -128,15 +131,19 @@ impl<'a> Standings<'a> {
             let parts = mover.bake.light.voxels().map_or(0, |(_, patches)| patches.sky_parts);
             let scale = world_from_object.matrix3.x_axis.length();
             let is_long = 2.0 * volume.half_side_m() * scale > LONG_M;
-            let look = |from_m: Vec3| match &walked {
-                Some(light) => {
-                    let from_m = world_from_object.transform_point3(from_m);
-                    Surroundings::walked(light, from_m, among.turn(), parts)
-                }
-                None => Surroundings::new(parts, |_| Vec3::ZERO),
-            };
-            let seen: Vec<Surroundings> =
-                viewpoints_m(volume.box_m(), is_long).into_iter().map(look).collect();
+            let viewpoints = Viewpoints::new(volume.box_m(), is_long, |from_m| {
+                let light = walked.as_ref()?;
+                let [middle_m, from_m] =
+                    [volume.middle_m(), from_m].map(|at_m| world_from_object.transform_point3(at_m));
+                is_open(light, middle_m, from_m)
+                    .then(|| Surroundings::walked(light, from_m, among.turn(), parts))
+                    .flatten()
+            });
+            let dark = Surroundings::new(parts, |_| Vec3::ZERO);
+            let mut seen: Vec<&Surroundings> = viewpoints.seen().collect();
+            if seen.is_empty() {
+                seen.push(&dark);
+            }
             let own = moved.objects.get(index).map(Vec::as_slice);
             let unshadowed = Unshadowed { emitter_scale: &[], panorama: None, ..lit.unshadowed };
             let of_object = LitScene { scene: &mover.bake.scene, unshadowed, lod: None, ..*lit };
@@ -152,11 +159,11 @@ impl<'a> Standings<'a> {
                 .filter_map(|settled| settled.walks.as_ref())
                 .map(|walks| volume.radiance(&walks.lambda, &walks.emitters))
                 .collect();
-            let radiance = Arc::new(volume.mixed(&by_viewpoint));
+            let radiance = Arc::new(volume.mixed(&viewpoints, &by_viewpoint));
             let indirect = settled.into_iter().map(|settled| settled.indirect).collect();
             let object_from_world = world_from_object.inverse();
-            let indirect = FromViewpoints { indirect, box_m: volume.box_m(), object_from_world };
-            Lit { indirect, hidden: Arc::new(volume.hidden(&seen)), radiance }
+            let hidden = Arc::new(volume.hidden(&viewpoints));
+            Lit { indirect: FromViewpoints { indirect, viewpoints, object_from_world }, hidden, radiance }
         };
         self.placed.iter().enumerate().map(of).collect()
     }
@@ -181,6 +188,14 @@ impl<'a> Standings<'a> {
             objects: self.placed.iter().enumerate().map(of_object).collect(),
         }
     }
+}
+
+/// Nothing of the bake stands between two points, or the first lies in something.
+fn is_open(light: &WalkLight<'_>, from_m: Vec3, to_m: Vec3) -> bool {
+    let way_m = to_m - from_m;
+    let Some(direction) = way_m.try_normalize() else { return true };
+    walk_within(light.table(), &Start::free(from_m), direction, 0.0, way_m.length())
+        .is_none_or(|hit| hit.is_back)
 }
 
 fn effects<'b>(placed: &'b [Placed<'_>], lights: &[Lit<'_>]) -> Vec<Effect<'b>> {
@@ -229,7 +244,7 @@ struct WithObjects<'a> {
 /// Light of an object in the surroundings that each of its viewpoints sees, mixed by the place on it.
 struct FromViewpoints<'a> {
     indirect: Vec<Box<dyn IndirectIrradiance + 'a>>,
-    box_m: [[f32; 3]; 2],
+    viewpoints: Viewpoints,
     object_from_world: Affine3A,
 }
 
@@ -240,12 +255,16 @@ impl IndirectIrradiance for FromViewpoints<'_> {
 
     fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
         let at_m = self.object_from_world.transform_point3(surface.position);
-        let weights = view_weights(self.box_m, self.indirect.len(), at_m);
-        self.indirect
-            .iter()
-            .zip(weights)
-            .map(|(light, weight)| weight * light.indirect_irradiance(surface))
-            .sum()
+        let weights = self.viewpoints.weights(at_m);
+        match &self.indirect[..] {
+            // Nothing is seen from any viewpoint.
+            [dark] if weights.is_empty() => dark.indirect_irradiance(surface),
+            all => all
+                .iter()
+                .zip(weights)
+                .map(|(light, weight)| weight * light.indirect_irradiance(surface))
+                .sum(),
+        }
     }
 }
 

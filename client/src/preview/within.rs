@@ -173,7 +173,7 @@ impl StreamedBake {
             match beside {
                 Beside::Meshes(object) => bake.add_object(object)?,
                 Beside::Baked { name, .. } => {
-                    let problem = "has a bake of its own, which is shown beside all light of a bake that is done: leave out bounds of bytes and memory".to_owned();
+                    let problem = "has a bake of its own, which is shown by 'kiln preview' beside all light of a bake that is done: leave out --max-bytes and --max-memory, or wait for the bake's end".to_owned();
                     return Err(ClientError::Argument { what: format!("object '{name}'"), problem });
                 }
             }

@@ -47,6 +47,8 @@ const SECTIONS: [SectionId; 4] = [
     SectionId::new(tags::GLOWS, [0; 3]),
     SectionId::new(tags::CODES, [0; 3]),
 ];
+/// Least length of an object as a share of its distance from its origin: 32 bits tell its nodes apart.
+pub const NEAREST: f32 = 1e-3;
 /// Section of the head, for errors.
 const HEAD: &str = "transfer head";
 /// Bytes of the numbers of a part: its middle, plane and steps.
@@ -133,7 +135,16 @@ fn check_head(section: &'static str, level: &TransferLevel, counts: Counts) -> R
     let edges: Vec<f32> = low.iter().zip(high).map(|(low, high)| high - low).collect();
     all_numbers(section, "edges of the box", &edges, "0 m or more", |x| x >= 0.0)?;
     let longest = edges.iter().fold(0.0_f32, |longest, edge| longest.max(*edge));
-    all_numbers(section, "longest edge of the box", &[longest], "more than 1e-6 m", |x| x > 1e-6)
+    all_numbers(section, "longest edge of the box", &[longest], "more than 1e-6 m", |x| x > 1e-6)?;
+    let farthest = level.box_m.as_flattened().iter().fold(0.0_f32, |most, at| most.max(at.abs()));
+    let is_near = |share: f32| share >= NEAREST;
+    all_numbers(
+        section,
+        "longest edge of the box over its farthest place",
+        &[longest / farthest],
+        "0.001 or more",
+        is_near,
+    )
 }
 
 fn check(section: &'static str, level: &TransferLevel) -> Result<(), ChunkError> {

@@ -75,18 +75,21 @@ impl TransferLevel {
     }
 }
 
-/// Codes of a part's F_p and Ω_p at nodes, and their steps: the largest number of the part has 127 of them.
-pub fn node_codes(nodes: &[[f32; 4]]) -> (Vec<[i8; 4]>, [f32; 2]) {
+/// Codes of a part's F_p and Ω_p at nodes, and their steps: the largest number of the part at nodes that are read has 127 of them, larger ones
+/// at others count as that.
+pub fn node_codes(nodes: &[[f32; 4]], is_read: impl Fn(usize) -> bool) -> (Vec<[i8; 4]>, [f32; 2]) {
     let most = |of: std::ops::Range<usize>| {
-        let all = nodes.iter().flat_map(|node| &node[of.clone()]);
+        let read = nodes.iter().enumerate().filter(|(index, _)| is_read(*index));
+        let all = read.flat_map(|(_, node)| &node[of.clone()]);
         all.fold(0.0_f32, |most, number| most.max(number.abs())) / 127.0
     };
     let steps = [most(0..3), most(3..4)];
-    let code =
-        |number: f32, step: f32| if step > 0.0 { (number / step).round().clamp(-127.0, 127.0) } else { 0.0 };
+    let code = |number: f32, step: f32| {
+        if step > 0.0 { (number / step).round().clamp(-127.0, 127.0) as i8 } else { 0 }
+    };
     let codes = nodes.iter().map(|&[x, y, z, omega]| {
-        let [x, y, z] = [x, y, z].map(|number| code(number, steps[0]) as i8);
-        [x, y, z, code(omega, steps[1]) as i8]
+        let [x, y, z] = [x, y, z].map(|number| code(number, steps[0]));
+        [x, y, z, code(omega, steps[1])]
     });
     (codes.collect(), steps)
 }

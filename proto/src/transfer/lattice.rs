@@ -6,6 +6,8 @@ use super::content::LEVELS;
 
 /// Half side of the finest level in halves of the object's largest side, H.
 const NEAR_H: f32 = 1.5;
+/// Share of a level's half side from which on it blends into the next.
+pub(super) const BLEND_FROM: f32 = 0.9;
 /// Reach in H, along the axis on which a point is farthest: beyond it the object changes nothing.
 pub const REACH_H: f32 = 12.0;
 /// Distance in H from which on its effect fades.
@@ -55,7 +57,10 @@ impl Axis {
     pub fn at(&self, place_m: f32) -> f32 {
         let [first, low, high, last] = self.stops_m;
         let (outer, inner) = (self.outer as f32, self.inner as f32);
-        let share = |from: f32, to: f32| ((place_m - from) / (to - from)).clamp(0.0, 1.0);
+        // Places far from the origin may leave no room between two.
+        let share = |from: f32, to: f32| {
+            if to > from { ((place_m - from) / (to - from)).clamp(0.0, 1.0) } else { 0.0 }
+        };
         if place_m < low {
             share(first, low) * outer
         } else if place_m <= high {
@@ -100,6 +105,23 @@ impl Lattice {
         let at = [index % side, index / side % side, index / (side * side)];
         let [x, y, z] = [0, 1, 2].map(|axis| self.axes[axis].node_m(at[axis] as u32));
         Vec3::new(x, y, z)
+    }
+
+    /// By node: whether some point of this level reads it. Nearer ones read the level below, until that blends into this one.
+    pub fn read_nodes(&self, level: u32) -> Vec<bool> {
+        let side = self.nodes as usize;
+        let from_m = if level == 0 { 0.0 } else { BLEND_FROM * 0.5 * self.half_m };
+        // A cell holds a place as far away as its farthest corner.
+        let is_far = |at: [usize; 3]| {
+            let node_m = self.node_m((at[2] * side + at[1]) * side + at[0]);
+            (node_m - self.middle_m).abs().max_element() >= from_m
+        };
+        let around = |at: usize| at.saturating_sub(1)..=(at + 1).min(side - 1);
+        let of = |index: usize| {
+            let [x, y, z] = [index % side, index / side % side, index / (side * side)];
+            around(z).any(|z| around(y).any(|y| around(x).any(|x| is_far([x, y, z]))))
+        };
+        (0..side * side * side).map(of).collect()
     }
 
     /// First of the eight nodes around a place, and its share of the way to the next ones.

@@ -13,18 +13,20 @@ mod content;
 mod lattice;
 mod surroundings;
 mod table;
+mod viewpoints;
 
 #[cfg(test)]
 mod tests;
 
-pub use chunk::{ROW, TRANSFER_CHUNK, decode_transfer, encode_transfer};
+pub use chunk::{NEAREST, ROW, TRANSFER_CHUNK, decode_transfer, encode_transfer};
 pub use content::{
     GLOWS_MAX, LEVELS, NODES_MAX, NODES_MIN, PARTS_MAX, PATCHES_MAX, PartGlow, PartPatch, TransferLevel,
     TransferPart, node_codes,
 };
 pub use lattice::{Axis, FADE_H, Lattice, REACH_H};
-pub use surroundings::{Surroundings, WALKS_OF_PART, view_weights, viewpoints_m};
+pub use surroundings::{Surroundings, WALKS_OF_PART};
 pub use table::{Cap, Covered, Standing, TransferTable};
+pub use viewpoints::Viewpoints;
 
 /// Role of the chunks of volumes, the coarsest first.
 pub const TRANSFER: &str = "transfer";

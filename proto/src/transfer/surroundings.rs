@@ -1,5 +1,7 @@
 //! Light that arrives at an object without the object: radiance along walks from its middle, and of parts of the sphere, each from some.
 
+use std::cell::Cell;
+
 use glam::{Mat3, Vec3, Vec4};
 
 use crate::harmonics::relight_direction;
@@ -8,36 +10,8 @@ use crate::voxels::{Seen, Start, WalkLight, nearest_of_sky, walk};
 /// Walks of each part of the sphere. More → lamps of their own size and energy, time in proportion.
 pub const WALKS_OF_PART: u32 = 16;
 
-/// Share of an object's bounds at whose corners light is looked for.
-const WITHIN: f32 = 0.9;
-
-/// Points of an object, in its own space, from which its surroundings are looked at: its middle, and the corners of its bounds where the object
-/// is so long that they differ.
-pub fn viewpoints_m(box_m: [[f32; 3]; 2], are_corners_seen: bool) -> Vec<Vec3> {
-    let [low, high] = box_m.map(Vec3::from);
-    let (middle, half) = (0.5 * (low + high), 0.5 * WITHIN * (high - low));
-    if !are_corners_seen {
-        return vec![middle];
-    }
-    let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
-    (0..8)
-        .map(|corner| middle + half * Vec3::new(sign(corner, 0), sign(corner, 1), sign(corner, 2)))
-        .collect()
-}
-
-/// Weight of each of [`viewpoints_m`] at a point of the object.
-pub fn view_weights(box_m: [[f32; 3]; 2], viewpoints: usize, at_m: Vec3) -> Vec<f32> {
-    if viewpoints != 8 {
-        return vec![1.0 / viewpoints.max(1) as f32; viewpoints];
-    }
-    let [low, high] = box_m.map(Vec3::from);
-    let (middle, half) = (0.5 * (low + high), 0.5 * WITHIN * (high - low));
-    let share =
-        (0.5 + 0.5 * (at_m - middle) / half.max(Vec3::splat(f32::MIN_POSITIVE))).clamp(Vec3::ZERO, Vec3::ONE);
-    let along =
-        |corner: u32, axis: usize| if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
-    (0..8).map(|corner| (0..3).map(|axis| along(corner, axis)).product()).collect()
-}
+/// Share of walks that meet backs above which a viewpoint lies in geometry.
+const BACKS_MAX: f32 = 0.25;
 
 /// Radiance c of the parts of a sphere around an object, in its frame.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -51,17 +25,20 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// What walks from a point in free space meet; `turn` is that of the object's frame.
-    pub fn walked(light: &WalkLight<'_>, from_m: Vec3, turn: Mat3, parts: u32) -> Self {
+    /// What walks from a point in free space meet; `turn` is that of the object's frame. `None` from a point in geometry.
+    pub fn walked(light: &WalkLight<'_>, from_m: Vec3, turn: Mat3, parts: u32) -> Option<Self> {
         // As wide as its share of the sphere.
         let tangent = (4.0 / (WALKS_OF_PART * parts.max(1)) as f32).sqrt().min(1.0);
         let start = Start::free(from_m);
-        Self::new(parts, |direction| {
+        let backs = Cell::new(0);
+        let found = Self::new(parts, |direction| {
             let direction = turn * direction;
             let seen =
                 walk(light.table(), &start, direction, tangent).map_or(Seen::Sky(direction), Seen::Hit);
+            backs.set(backs.get() + u32::from(matches!(&seen, Seen::Hit(hit) if hit.is_back)));
             light.radiance(&seen)
-        })
+        });
+        (backs.get() as f32 <= BACKS_MAX * found.seen.len() as f32).then_some(found)
     }
 
     /// Of the radiance in each direction.
@@ -81,16 +58,18 @@ impl Surroundings {
     }
 
     /// Weighted mean of some with as many parts.
-    pub fn mixed(of: &[Self], weights: &[f32]) -> Self {
-        let Some(first) = of.first() else { return Self::default() };
-        let mut mixed = Self {
-            directions: first.directions.clone(),
-            seen: vec![Vec3::ZERO; first.seen.len()],
-            radiance: vec![Vec4::ZERO; first.radiance.len()],
-        };
-        for (own, weight) in of.iter().zip(weights) {
-            mixed.seen.iter_mut().zip(&own.seen).for_each(|(sum, seen)| *sum += *weight * *seen);
-            mixed.radiance.iter_mut().zip(&own.radiance).for_each(|(sum, part)| *sum += *weight * *part);
+    pub fn mixed<'a>(of: impl Iterator<Item = (&'a Self, f32)>) -> Self {
+        let mut mixed = Self::default();
+        for (own, weight) in of {
+            if mixed.directions.is_empty() {
+                mixed = Self {
+                    seen: vec![Vec3::ZERO; own.seen.len()],
+                    radiance: vec![Vec4::ZERO; own.radiance.len()],
+                    directions: own.directions.clone(),
+                };
+            }
+            mixed.seen.iter_mut().zip(&own.seen).for_each(|(sum, seen)| *sum += weight * *seen);
+            mixed.radiance.iter_mut().zip(&own.radiance).for_each(|(sum, part)| *sum += weight * *part);
         }
         mixed
     }

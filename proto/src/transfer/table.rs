@@ -6,12 +6,11 @@ use std::sync::Arc;
 use glam::{Affine3A, Mat3, Vec3, Vec4};
 
 use super::content::{LEVELS, TransferLevel, TransferPart};
-use super::lattice::{FADE_H, Lattice, REACH_H, half_side_m};
-use super::surroundings::{Surroundings, view_weights};
+use super::lattice::{BLEND_FROM, FADE_H, Lattice, REACH_H, half_side_m};
+use super::surroundings::Surroundings;
+use super::viewpoints::Viewpoints;
 use crate::relight::{Inconsistent, PatchTable};
 
-/// Share of a level's half side from which on it blends into the next.
-const BLEND_FROM: f32 = 0.9;
 /// Least half angle of a part's cap, in radians.
 const CAP_MIN_RAD: f32 = 0.2;
 /// Half width of a cap's rim, in cosine.
@@ -127,19 +126,17 @@ impl TransferTable {
         self.levels.iter().zip(&self.patches).map(of_level).collect()
     }
 
-    /// Surroundings that each part hides, by level, of those seen from [`super::viewpoints_m`].
-    pub fn hidden(&self, seen: &[Surroundings]) -> Vec<Vec<Surroundings>> {
-        let of_part = |part: &TransferPart| {
-            Surroundings::mixed(seen, &view_weights(self.box_m(), seen.len(), part.middle_m.into()))
-        };
+    /// Surroundings that each part hides, by level.
+    pub fn hidden(&self, viewpoints: &Viewpoints) -> Vec<Vec<Surroundings>> {
+        let of_part = |part: &TransferPart| viewpoints.at(part.middle_m.into());
         self.levels.iter().map(|(level, _)| level.parts.iter().map(of_part).collect()).collect()
     }
 
-    /// Radiance of each part by level, of that in the surroundings of each of [`super::viewpoints_m`].
-    pub fn mixed(&self, by_viewpoint: &[Vec<Vec<Vec3>>]) -> Vec<Vec<Vec3>> {
+    /// Radiance of each part by level, of that in the surroundings of each viewpoint that sees something.
+    pub fn mixed(&self, viewpoints: &Viewpoints, by_viewpoint: &[Vec<Vec<Vec3>>]) -> Vec<Vec<Vec3>> {
         let of_level = |(number, (level, _)): (usize, &(TransferLevel, Lattice))| {
             let of_part = |(at, part): (usize, &TransferPart)| {
-                let weights = view_weights(self.box_m(), by_viewpoint.len(), part.middle_m.into());
+                let weights = viewpoints.weights(part.middle_m.into());
                 by_viewpoint.iter().zip(weights).map(|(own, weight)| weight * own[number][at]).sum()
             };
             level.parts.iter().enumerate().map(of_part).collect()
@@ -221,20 +218,22 @@ impl<'a> Standing<'a> {
         self.table.fade(self.object_from_world.transform_point3(at_m)) > 0.0
     }
 
-    /// The ball around the object as a point sees it.
+    /// The object as a point sees it.
     pub fn cap(&self, at_m: Vec3) -> Cap {
         let local_m = self.object_from_world.transform_point3(at_m);
-        let [low, high] = self.table.box_m().map(Vec3::from);
-        let (offset_m, radius_m) = (self.table.middle_m - local_m, 0.5 * (high - low).length());
-        let distance_m = offset_m.length();
-        let half_angle_rad =
-            if radius_m < distance_m { libm::asinf(radius_m / distance_m) } else { std::f32::consts::PI };
-        let mut solid_angle = 0.0;
-        self.table.covered(local_m, |covered, weight| solid_angle += weight * covered.solid_angle);
-        let filled = solid_angle / (TAU * (1.0 - libm::cosf(half_angle_rad))).max(f32::MIN_POSITIVE);
-        let towards = self.turn_back.transpose() * offset_m.normalize_or(Vec3::Y);
+        let offset_m = self.table.middle_m - local_m;
+        let (mut solid_angle, mut vector) = (0.0, Vec3::ZERO);
+        self.table.covered(local_m, |covered, weight| {
+            solid_angle += weight * covered.solid_angle;
+            vector += weight * covered.vector;
+        });
         let world_m = self.object_from_world.matrix3.x_axis.length().max(f32::MIN_POSITIVE);
-        Cap { towards, distance_m: distance_m / world_m, half_angle_rad, filled: filled.min(1.0) }
+        Cap {
+            towards: self.turn_back.transpose()
+                * vector.try_normalize().unwrap_or(offset_m.normalize_or(Vec3::Y)),
+            distance_m: offset_m.length() / world_m,
+            half_angle_rad: libm::acosf((1.0 - solid_angle / TAU).clamp(-1.0, 1.0)),
+        }
     }
 
     /// ΔE at a point about a normal in W·m⁻², without walls and other objects between.
@@ -257,32 +256,30 @@ impl<'a> Standing<'a> {
     }
 }
 
-/// The ball around an object as a point sees it.
+/// An object as a point sees it: a cap of as many steradians about its mean direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cap {
-    /// Unit vector towards its middle.
+    /// Unit vector towards it.
     pub towards: Vec3,
-    /// Distance of the middle in metres.
+    /// Distance of its middle in metres.
     pub distance_m: f32,
     /// Half angle in radians.
     pub half_angle_rad: f32,
-    /// Share of it that the object fills.
-    pub filled: f32,
 }
 
 impl Cap {
-    /// Share of this one that a nearer one hides: as far as they overlap, and as that is filled (\[Oat2007\] eq. 4, about).
+    /// Share of this one that a nearer one hides (\[Oat2007\] §4).
     pub fn hidden_by(&self, nearer: &Self) -> f32 {
-        if nearer.distance_m >= self.distance_m {
+        if nearer.distance_m >= self.distance_m || self.half_angle_rad.min(nearer.half_angle_rad) <= 0.0 {
             return 0.0;
         }
         let apart = libm::acosf(self.towards.dot(nearer.towards).clamp(-1.0, 1.0));
         let [own, other] = [self.half_angle_rad, nearer.half_angle_rad];
         let (touching, within) = (own + other, (own - other).abs());
         let area = |angle: f32| 1.0 - libm::cosf(angle);
-        let share = (area(own.min(other)) / area(own).max(f32::MIN_POSITIVE)).min(1.0);
+        let share = (area(own.min(other)) / area(own)).min(1.0);
         let t = ((touching - apart) / (touching - within).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
-        share * t * t * (3.0 - 2.0 * t) * nearer.filled
+        share * t * t * (3.0 - 2.0 * t)
     }
 }
 

@@ -19,7 +19,7 @@ fn ball(nodes: u32) -> Vec<TransferLevel> {
             [vector.x, vector.y, vector.z, omega]
         };
         let numbers: Vec<[f32; 4]> = (0..(nodes as usize).pow(3)).map(at).collect();
-        let (codes, steps) = node_codes(&numbers);
+        let (codes, steps) = node_codes(&numbers, |_| true);
         let glows = vec![PartGlow { emitter: 0, share: [1.0; 3] }];
         TransferLevel {
             level,
@@ -141,7 +141,8 @@ fn ball_gives_its_form_factor_and_takes_what_it_hides() {
     );
     let radiance = |light: f32| Arc::new(table.radiance(&[] as &[Vec4], &[Vec3::splat(light)]));
     let standing = |light, around: &Surroundings| {
-        let hidden = Arc::new(table.hidden(std::slice::from_ref(around)));
+        let hidden =
+            Arc::new(table.hidden(&Viewpoints::new([[0.0; 3], [1.0; 3]], false, |_| Some(around.clone()))));
         Standing::new(&table, place, radiance(light), hidden)
     };
     let (mut worst, mut points) = (0.0_f32, 0);
@@ -212,7 +213,8 @@ fn turned_and_scaled_with_all_around_it_it_changes_as_much() {
     let around =
         Surroundings::new(64, |direction| Vec3::new(1.0 + direction.x, 1.0, 0.5 - 0.5 * direction.z));
     let radiance = Arc::new(table.radiance(&[] as &[Vec4], &[Vec3::new(0.5, 2.0, 0.0)]));
-    let hidden = Arc::new(table.hidden(std::slice::from_ref(&around)));
+    let hidden =
+        Arc::new(table.hidden(&Viewpoints::new([[0.0; 3], [1.0; 3]], false, |_| Some(around.clone()))));
     let first = Affine3A::from_translation(Vec3::new(0.3, -0.2, 5.0));
     let moved = Affine3A::from_scale_rotation_translation(
         Vec3::splat(3.5),
@@ -243,24 +245,73 @@ fn nearer_ball_hides_what_it_covers() {
         towards: towards.normalize(),
         distance_m,
         half_angle_rad,
-        filled: 0.8,
     };
     let far = cap(Vec3::Z, 4.0, 0.2);
-    assert!((far.hidden_by(&cap(Vec3::Z, 2.0, 0.5)) - 0.8).abs() < 1e-5);
+    assert!((far.hidden_by(&cap(Vec3::Z, 2.0, 0.5)) - 1.0).abs() < 1e-5);
     let quarter = far.hidden_by(&cap(Vec3::Z, 2.0, 0.1));
-    assert!((quarter - 0.2).abs() < 0.01, "{quarter}");
+    assert!((quarter - 0.25).abs() < 0.01, "{quarter}");
     let some = far.hidden_by(&cap(Vec3::new(0.3, 0.0, 1.0), 2.0, 0.25));
-    assert!(some > 0.05 && some < 0.75, "{some}");
-    for beside in [cap(Vec3::X, 2.0, 0.5), cap(Vec3::Z, 4.0, 0.5), cap(Vec3::Z, 9.0, 0.5)] {
+    assert!(some > 0.05 && some < 0.95, "{some}");
+    for beside in
+        [cap(Vec3::X, 2.0, 0.5), cap(Vec3::Z, 4.0, 0.5), cap(Vec3::Z, 9.0, 0.5), cap(Vec3::Z, 1.0, 0.0)]
+    {
         assert_eq!(far.hidden_by(&beside), 0.0);
     }
     let table = table(ball(16));
-    let none = Surroundings::new(64, |_| Vec3::ZERO);
-    let hidden = Arc::new(table.hidden(std::slice::from_ref(&none)));
-    let place = Affine3A::from_scale_rotation_translation(Vec3::splat(2.0), Quat::IDENTITY, Vec3::X * 8.0);
-    let seen = Standing::new(&table, place, Arc::default(), hidden).cap(Vec3::ZERO);
-    // Its bounds are a cube of 4 m, and the ball around them has a radius of 2√3 m.
-    assert!((seen.distance_m - 8.0).abs() < 1e-4 && seen.towards.distance(Vec3::X) < 1e-5, "{seen:?}");
-    assert!((seen.half_angle_rad - (3.4641_f32 / 8.0).asin()).abs() < 1e-3, "{seen:?}");
-    assert!((seen.filled - 0.31).abs() < 0.04, "{seen:?}");
+    let place = Affine3A::from_scale_rotation_translation(
+        Vec3::splat(2.0),
+        Quat::from_rotation_z(0.8),
+        Vec3::X * 8.0,
+    );
+    let seen = Standing::new(&table, place, Arc::default(), Arc::default()).cap(Vec3::ZERO);
+    assert!((seen.distance_m - 8.0).abs() < 1e-4 && seen.towards.distance(Vec3::X) < 0.03, "{seen:?}");
+    assert!((seen.half_angle_rad - 0.25_f32.asin()).abs() < 0.02, "{seen:?}");
+}
+
+/// Viewpoints that see nothing leave their weight to the others, and those of a rug lie off its floor.
+#[test]
+fn viewpoints_in_geometry_count_no_more() {
+    let look = |at_m: Vec3| (at_m.y > 0.0).then(|| Surroundings::new(64, |_| at_m));
+    let rug = [[-1.0, 0.0, -0.5], [1.0, 0.0, 0.5]];
+    let viewpoints = Viewpoints::new(rug, true, look);
+    assert_eq!(viewpoints.seen().count(), 4);
+    for at_m in [Vec3::ZERO, Vec3::new(0.9, 0.0, 0.2), Vec3::new(-3.0, -1.0, 0.0)] {
+        let weights = viewpoints.weights(at_m);
+        assert!(weights.len() == 4 && (weights.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{weights:?}");
+        let seen = viewpoints.at(at_m).mean(Vec3::X, 0.0, 0.06);
+        let wanted = at_m.clamp(Vec3::new(-0.9, 0.05, -0.45), Vec3::new(0.9, 0.05, 0.45));
+        let off = if at_m.y < 0.0 { 0.2 } else { 1e-4 };
+        assert!(seen.distance(wanted) < off, "{seen} {wanted}");
+    }
+    let none = Viewpoints::new(rug, true, |_| None);
+    assert!(
+        none.weights(Vec3::ZERO).is_empty() && none.at(Vec3::ZERO).mean(Vec3::X, 0.0, 0.06) == Vec3::ZERO
+    );
+}
+
+/// Nodes that no point of a level reads do not coarsen its steps; all that are read come back within half a step.
+#[test]
+fn steps_are_those_of_nodes_that_are_read() {
+    for level in ball(16) {
+        let lattice = Lattice::new(level.box_m, level.level, level.nodes);
+        let is_read = lattice.read_nodes(level.level);
+        let at = |index: usize| {
+            let from_m = lattice.node_m(index);
+            let sine = (1.0 / from_m.length()).min(1.0);
+            let vector = -from_m.normalize() * std::f32::consts::PI * sine * sine;
+            vector.extend(std::f32::consts::TAU * (1.0 - (1.0 - sine * sine).sqrt())).to_array()
+        };
+        let numbers: Vec<[f32; 4]> = (0..4096).map(at).collect();
+        let (codes, [step, of_angle]) = node_codes(&numbers, |index| is_read[index]);
+        let coarse = node_codes(&numbers, |_| true).1[0];
+        for index in (0..4096).filter(|index| is_read[*index]) {
+            let off = |axis: usize, step: f32| {
+                (f32::from(codes[index][axis]) * step - numbers[index][axis]).abs() / step
+            };
+            assert!((0..3).all(|axis| off(axis, step) < 0.501) && off(3, of_angle) < 0.501);
+        }
+        println!("level {}: steps {step:.5}, of all nodes {coarse:.5}", level.level);
+        assert_eq!(level.level == 0, is_read.iter().all(|is_read| *is_read));
+        assert!(step < [1.01, 1.01, 0.4, 0.3][level.level as usize] * coarse);
+    }
 }

@@ -10,6 +10,7 @@ use lightkiln_client::kinds;
 use lightkiln_client::lights::{parse_camera, parse_lights};
 use lightkiln_client::preview::{Backend, View, light_receivers_among, render};
 use lightkiln_client::scene::Stance;
+use lightkiln_proto::scene::SceneCamera;
 use lightkiln_proto::transfer::{TRANSFER, decode_transfer};
 use lightkiln_tests::harness::{Recipe, bake};
 use lightkiln_tests::scenes::glb::Surface;
@@ -145,7 +146,7 @@ fn box_and_panel_give_and_take_as_paths_do() {
             // The error that the bake has without any object is no fault of it.
             let of_object = (own * own - alone * alone).max(0.0).sqrt();
             let of_ignoring = (ignored * ignored - alone * alone).max(0.0).sqrt();
-            assert!(of_object < 0.5 * of_ignoring, "{name} {}: {of_object} {of_ignoring}", light.name);
+            assert!(of_object < 0.65 * of_ignoring, "{name} {}: {of_object} {of_ignoring}", light.name);
             assert!((0.95..1.05).contains(&shares.energy), "{}: {}", light.name, shares.energy);
         }
     }
@@ -164,7 +165,7 @@ fn halves_of_a_box_change_what_the_whole_does() {
         indirect(&bake, &["sky horizon=2,2,2 zenith=2,2,2"], &[place, place][..bake.movers.len()])
     });
     let ignored = indirect(&scene(), &["sky horizon=2,2,2 zenith=2,2,2"], &[]);
-    println!("apart {:.4}, ignored {:.4}", apart(&two, &one), apart(&ignored, &one));
+    println!("apart {:.4}, left out {:.4}", apart(&two, &one), apart(&ignored, &one));
     assert!(apart(&two, &one) < 0.03 && apart(&ignored, &one) > 0.1, "{}", apart(&two, &one));
 }
 
@@ -228,6 +229,19 @@ fn volumes_have_no_colour_and_the_same_bytes_on_any_number_of_threads() {
     }
 }
 
+/// Place in a picture of a point, in pixels.
+fn pixel_of(camera: &SceneCamera, [width, height]: [u32; 2], at_m: Vec3) -> Option<[usize; 2]> {
+    let (eye, target) = (Vec3::from(camera.eye_m), Vec3::from(camera.target_m));
+    let forward = (target - eye).normalize();
+    let right = forward.cross(camera.up.into()).normalize();
+    let way = at_m - eye;
+    let scale = 0.5 * height as f32 / ((0.5 * camera.fov_y_rad).tan() * way.dot(forward));
+    let x = 0.5 * width as f32 + way.dot(right) * scale;
+    let y = 0.5 * height as f32 - way.dot(right.cross(forward)) * scale;
+    let is_inside = x >= 1.0 && y >= 1.0 && x < width as f32 - 1.0 && y < height as f32 - 1.0;
+    is_inside.then_some([x as usize, y as usize])
+}
+
 /// A picture reads what receivers are told: an object's effect is counted once, and its own surfaces are lit.
 #[test]
 fn pixels_and_receivers_see_the_same_effect_and_the_object_is_lit() {
@@ -235,22 +249,86 @@ fn pixels_and_receivers_see_the_same_effect_and_the_object_is_lit() {
     let bake = with(fresh(cornell_of_one_box(), &scene_recipe(0.25)), &[object]);
     let light = ["sky horizon=2,2,2 zenith=2,2,2"];
     let stances = [at(0.9, 0.0, -1.6), at(40.0, 0.0, 0.0)];
-    let camera = parse_camera("eye=0.9,3.4,1.2 target=0.9,0,-1.2 fov=55").unwrap();
+    let camera = parse_camera("eye=0.9,5.2,1.9 target=0.9,0,-1.0 fov=65").unwrap();
     let lights = parse_lights(&light).unwrap().lights;
-    let (mut view, _) = View::of_bake(&bake, Some(camera), Some(lights)).unwrap();
-    (view.width, view.height, view.samples) = (120, 90, 1);
-    view.emitter_scale = vec![0.0; bake.scene.manifest.emitters.len()];
-    let [with_box, without] = stances.map(|stance| {
+    let (mut view, _) = View::of_bake(&bake, Some(camera.clone()), Some(lights)).unwrap();
+    (view.width, view.height, view.samples) = (240, 180, 1);
+    let pictures = stances.map(|stance| {
         view.objects = vec![stance];
         render(&bake, &view, Backend::Cpu).unwrap().linear
     });
     let value = |rgb: &[f32; 3]| luminance(DVec3::from(rgb.map(f64::from)));
-    // The box is red and lit; the floor before it darker than without it.
     let is_red = |rgb: &&[f32; 3]| rgb[0] > 2.0 * rgb[2] && value(rgb) > 0.02;
-    let red = with_box.iter().filter(is_red).count();
-    assert!(red > 500, "{red} pixels of the box are lit");
-    let darker = with_box.iter().zip(&without).filter(|(a, b)| value(a) < 0.9 * value(b)).count();
-    let doubled = with_box.iter().zip(&without).filter(|(a, b)| value(a) < 0.15 * value(b)).count();
-    println!("{red} red, {darker} darker, {doubled} black of {}", with_box.len());
-    assert!(darker > 300, "{darker}");
+    let red = pictures[0].iter().filter(is_red).count();
+    assert!(red > 1000, "{red} pixels of the box are lit");
+    // On the floor in front of the box, where it hides much of the back wall and nothing hides the floor.
+    let of_receivers = stances.map(|stance| indirect(&bake, &light, &[stance]));
+    let map = bake.light.lightmap(&bake.scene).unwrap();
+    let (mut by_receivers, mut by_pixels, mut before, mut count) = (0.0, 0.0, 0.0, 0);
+    for (slot, place) in map.receivers.position_m.iter().enumerate() {
+        let is_there =
+            place.y.abs() < 1e-4 && (-0.9..-0.3).contains(&place.z) && (0.1..1.7).contains(&place.x);
+        let Some([x, y]) = pixel_of(&camera, [240, 180], place.truncate()).filter(|_| is_there) else {
+            continue;
+        };
+        let irradiance = |picture: &[[f32; 3]]| {
+            let rgb = Vec3::from(picture[y * 240 + x]);
+            let albedo = map.receivers.albedo[slot].truncate();
+            luminance((rgb / albedo * std::f32::consts::PI).as_dvec3())
+        };
+        let light = |which: usize| luminance(of_receivers[which][slot].truncate().as_dvec3());
+        by_receivers += light(1) - light(0);
+        by_pixels += irradiance(&pictures[1]) - irradiance(&pictures[0]);
+        before += light(1);
+        count += 1;
+    }
+    let ratio = by_pixels / by_receivers;
+    println!(
+        "{red} red pixels; {count} receivers lose {:.3} of their light, pixels {ratio:.3} of that",
+        by_receivers / before
+    );
+    assert!(count > 10 && by_receivers > 0.05 * before, "{count} {by_receivers} {before}");
+    assert!((0.9..1.1).contains(&ratio), "{ratio}");
+}
+
+/// A closed ball of two sides is as one of one: its inner side, which nothing sees, takes no part.
+#[test]
+fn inside_of_a_double_sided_ball_takes_no_part() {
+    let of = |surface: Surface| Arc::new(fresh(alone("ball", &ball(0.5), surface), &object_recipe()));
+    let surface = || Surface::diffuse("ball", [0.2, 0.3, 0.6]);
+    let scene = || fresh(cornell_of_one_box(), &scene_recipe(0.25));
+    let light = ["sky horizon=2,2,2 zenith=2,2,2"];
+    let [one, two] = [surface(), surface().double_sided()]
+        .map(|surface| indirect(&with(scene(), &[of(surface)]), &light, &[at(0.9, 0.0, -1.4)]));
+    let without = indirect(&scene(), &light, &[]);
+    println!("apart {:.4}, without {:.4}", apart(&two, &one), apart(&without, &one));
+    assert!(apart(&two, &one) < 0.15 * apart(&without, &one), "{}", apart(&two, &one));
+}
+
+/// A rug takes the light of the floor under it and gives its own: its viewpoints are not in the floor. A box sunk into the floor is lit by the room
+/// alone.
+#[test]
+fn rug_and_a_sunken_box_are_lit_by_what_is_above_the_floor() {
+    let scene = || fresh(cornell_of_one_box(), &scene_recipe(0.25));
+    let light = ["sky horizon=2,2,2 zenith=2,2,2"];
+    let surface = || Surface::diffuse("thing", [0.5; 3]);
+    let seen = |mesh: &lightkiln_tests::scenes::mesh::Mesh, y: f32| {
+        let object = Arc::new(fresh(alone("thing", mesh, surface().double_sided()), &object_recipe()));
+        let bake = with(scene(), &[object]);
+        let camera = parse_camera("eye=0.9,4.5,-1.0 target=0.9,0,-1.3 fov=20").unwrap();
+        let lights = parse_lights(&light).unwrap().lights;
+        let (mut view, _) = View::of_bake(&bake, Some(camera), Some(lights)).unwrap();
+        (view.width, view.height, view.samples, view.objects) = (32, 24, 1, vec![at(0.9, y, -1.3)]);
+        let linear = render(&bake, &view, Backend::Cpu).unwrap().linear;
+        let middle = linear[12 * 32 + 16];
+        luminance(DVec3::from(middle.map(f64::from)))
+    };
+    let mut rug = lightkiln_tests::scenes::mesh::Mesh::default();
+    rug.rectangle(Vec3::new(-0.8, 0.0, 0.8), Vec3::X * 1.6, Vec3::Z * -1.6);
+    let sunken = cuboid(Vec3::new(0.0, 0.0, 0.0), Vec3::new(1.6, 0.8, 1.6));
+    let lifted = seen(&rug, 0.4);
+    let [on_floor, sunk] = [seen(&rug, 0.004), seen(&sunken, 0.0)];
+    println!("rug at 40 cm {lifted:.4}, on the floor {on_floor:.4}, top of a sunken box {sunk:.4}");
+    assert!(on_floor > 0.8 * lifted && on_floor < 1.2 * lifted, "{on_floor} {lifted}");
+    assert!(sunk > 0.8 * lifted && sunk < 1.2 * lifted, "{sunk} {lifted}");
 }

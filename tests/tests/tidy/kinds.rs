@@ -10,8 +10,8 @@ use super::{CRATES, files_below, text_of};
 /// Rooms of kinds, and the tables beside them.
 const ROOMS_OF_KINDS: [&str; 3] = ["proto/src/kinds", "worker/src/kinds", "client/src/kinds"];
 
-/// Room of what kinds have in common whose own word is the name of one.
-const ROOM_OF_VOXELS: &str = "proto/src/voxels";
+/// Rooms of what kinds have in common whose own word is the name of one.
+const ROOMS_BESIDE: [&str; 2] = ["proto/src/voxels", "proto/src/transfer"];
 
 /// Words of a line of code: runs of letters, digits and underscores, also within texts.
 fn words(line: &str) -> impl Iterator<Item = &str> {
@@ -19,7 +19,7 @@ fn words(line: &str) -> impl Iterator<Item = &str> {
 }
 
 /// Names that are words of everyday, too: they count where they stand in a path of kinds or begin a text.
-const EVERYDAY: [&str; 2] = ["grid", "voxels"];
+const EVERYDAY: [&str; 3] = ["grid", "transfer", "voxels"];
 
 /// Lines of a file's code with a word that names a kind, in any case: `prt`, `"prt.plan"`, `Prt`.
 fn names_of_kinds(text: &str, kinds: &BTreeSet<String>) -> Vec<String> {
@@ -55,7 +55,7 @@ fn shared_rooms_name_no_kind() {
     let mut checked = 0;
     for folder in CRATES.iter().filter(|folder| **folder != "tests") {
         for path in files_below(&format!("{folder}/src"), "rs") {
-            let rooms = ROOMS_OF_KINDS.iter().chain([&ROOM_OF_VOXELS]);
+            let rooms = ROOMS_OF_KINDS.iter().chain(&ROOMS_BESIDE);
             if is_test(&path) || rooms.into_iter().any(|room| path.starts_with(room)) {
                 continue;
             }

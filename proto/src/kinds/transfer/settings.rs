@@ -3,14 +3,14 @@
 use crate::kinds::prt::{self, PatchSettings};
 use crate::kinds::voxels::{Presence, VoxelPresence, VoxelSettings};
 use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
-use crate::transfer::{LEVELS, NODES_MAX, NODES_MIN};
+use crate::transfer::NODES_MIN;
 use crate::{kind_settings, settings_group};
 
 settings_group! {
     /// The volume around the object.
     TransferSettings {
         /// Nodes of each level along an axis. More → sharper shadows near the object, bytes and time with the cube.
-        transfer_nodes: u32 = [16, 16, 24], |v| (NODES_MIN..=NODES_MAX).contains(&v), "4..=64";
+        transfer_nodes: u32 = [16, 16, 24], |v| (NODES_MIN..=32).contains(&v), "4..=32";
         /// Parts that the finest levels tell the object's surface apart in, coarser ones fewer. More → colours of its sides stay apart, bytes
         /// and run time in proportion.
         transfer_parts: u32 = [8, 8, 24], |v| (1..=60).contains(&v), "1..=60";
@@ -51,7 +51,10 @@ impl Settings {
 impl TransferSettings {
     /// Most parts of a level.
     pub fn parts_of(&self, level: u32) -> u32 {
-        const SHARES: [u32; LEVELS as usize] = [1, 1, 2, 8];
-        self.transfer_parts.div_ceil(SHARES[level as usize % SHARES.len()])
+        match level {
+            0 | 1 => self.transfer_parts,
+            2 => self.transfer_parts.div_ceil(2).min(8),
+            _ => self.transfer_parts.div_ceil(12),
+        }
     }
 }

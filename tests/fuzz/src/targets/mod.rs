@@ -26,7 +26,7 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 17] = [
+pub const TARGETS: [Target; 18] = [
     chunks::CLUSTER,
     layers::LAYERS,
     chunks::PROBES,

@@ -8,11 +8,13 @@ use lightkiln_proto::kinds::Kinds;
 
 const CORNELL: &[u8] = include_bytes!("../../../../tests/scenes/cornell.glb");
 /// Tasks that end within moments whatever the scene: they copy what is there.
-const BRIEF: [&str; 9] = [
+const BRIEF: [&str; 11] = [
     "scene.frame",
     "scene.draw",
     "prt.plan",
     "prt.assemble",
+    "transfer.plan",
+    "transfer.assemble",
     "voxels.plan",
     "voxels.assemble",
     "sh.assemble",

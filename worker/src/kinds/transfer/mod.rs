@@ -13,7 +13,7 @@ use lightkiln_proto::kinds::transfer::{
 };
 use lightkiln_proto::kinds::voxels::tasks::RECEIVERS;
 use lightkiln_proto::manifest::Manifest;
-use lightkiln_proto::transfer::{LEVELS, TRANSFER, decode_transfer};
+use lightkiln_proto::transfer::{LEVELS, NEAREST, TRANSFER, decode_transfer};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -80,10 +80,11 @@ fn plan(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
     let world = World::of(context)?;
     let [low_m, high_m] = world.geometry.bounds_m();
     let longest_m = (high_m - low_m).max_element();
-    if !(1e-5..=1e5).contains(&longest_m) || low_m.abs().max(high_m.abs()).max_element() > 1e6 {
+    let farthest_m = low_m.abs().max(high_m.abs()).max_element();
+    if !(1e-5..=1e5).contains(&longest_m) || longest_m < NEAREST * farthest_m {
         let problem = format!(
-            "the object is {longest_m} m long between {low_m} and {high_m}: an object that moves has 0.00001..=100000 m within 1000 km \
-             of its origin; scale or move it"
+            "the object is {longest_m} m long and reaches {farthest_m} m away from its origin: one that moves has 0.00001 to 100000 m, and {NEAREST} of \
+             that distance; scale it, or move it to its origin"
         );
         return Err(TaskError::bad_input(problem));
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 
 use glam::Vec3;
+use lightkiln_proto::harmonics::relight_direction;
 use lightkiln_proto::transfer::Lattice;
 
 use super::parts::{NO_PART, Parts};
@@ -13,6 +14,12 @@ use crate::rays::sampling::{seed_of, tangent_frame};
 
 /// Share of rays that meet backs of closed surfaces above which a node lies within the object.
 const BACKS_MAX: f32 = 0.5;
+/// Share of rays that meet anything from which on a node lies within it: of double-sided surfaces there are no backs.
+const ENCLOSED: f32 = 0.99;
+/// Points that look at the object from outside, their distance in radii, and their rays.
+const LOOKS: u32 = 64;
+const LOOK_RADII: f32 = 1.5;
+const LOOK_RAYS: u32 = 1024;
 /// Purpose of a node's seed.
 const SEED: u64 = 0x7472_6e6f;
 
@@ -22,7 +29,7 @@ pub struct Node {
     pub sums: Vec<[f32; 4]>,
     /// The node lies within the object.
     pub is_inside: bool,
-    /// Rays that met an emissive triangle, by it and its part.
+    /// Rays that met an emissive triangle, by it and its part, or the number of parts for what is dark.
     pub glows: BTreeMap<(u8, u32), u64>,
     /// Rays that met each part.
     pub rays: Vec<u64>,
@@ -60,13 +67,14 @@ impl Sight<'_> {
             seed_of(&[self.level.into(), index as u64, SEED]),
         );
         let weight = cone.solid_angle / self.rays as f32;
-        let mut backs = 0;
+        let (mut backs, mut met) = (0, 0);
         let geometry = &self.world.geometry;
         for ray in 0..self.rays {
             let direction = cone.direction(ray, self.rays);
             let Some(hit) = geometry.tracer.met(from_m, direction, f32::INFINITY) else { continue };
             let is_back = geometry.is_back(&hit);
             backs += u32::from(is_back);
+            met += 1;
             let found = self.world.found_at(&hit, from_m + direction * hit.t);
             let part = match found.linked {
                 Surface::Receiver(receiver) => {
@@ -76,16 +84,34 @@ impl Sight<'_> {
             };
             let place = if part == NO_PART { dark } else { usize::from(part) };
             node.rays[place] += 1;
-            if !is_back && part != NO_PART && self.is_emissive[hit.triangle as usize] {
-                *node.glows.entry((part, hit.triangle)).or_default() += 1;
+            if !is_back && self.is_emissive[hit.triangle as usize] {
+                *node.glows.entry((place as u8, hit.triangle)).or_default() += 1;
             }
             let [x, y, z] = (direction * weight).to_array();
             let sum = &mut node.sums[place];
             *sum = [sum[0] + x, sum[1] + y, sum[2] + z, sum[3] + weight];
         }
-        node.is_inside = cone.is_sphere() && backs as f32 > BACKS_MAX * self.rays as f32;
+        let [backs, met] = [backs, met].map(|count| count as f32 / self.rays as f32);
+        node.is_inside = cone.is_sphere() && (backs > BACKS_MAX || met >= ENCLOSED);
         node
     }
+}
+
+/// By leaf: whether anything outside the object sees it.
+pub fn seen_leaves(world: &World, tree: &PatchTree, middle_m: Vec3, radius_m: f32) -> Vec<bool> {
+    let mut is_seen = vec![false; tree.leaf_starts.len()];
+    for number in 0..LOOKS {
+        let from_m = middle_m + relight_direction(number, LOOKS) * (LOOK_RADII * radius_m);
+        let cone = Cone::new(middle_m - from_m, radius_m, seed_of(&[u64::from(number), SEED]));
+        for ray in 0..LOOK_RAYS {
+            let direction = cone.direction(ray, LOOK_RAYS);
+            let Some(hit) = world.geometry.tracer.met(from_m, direction, f32::INFINITY) else { continue };
+            if let Surface::Receiver(receiver) = world.found_at(&hit, from_m + direction * hit.t).linked {
+                is_seen[tree.leaf_of_receiver[receiver as usize] as usize] = true;
+            }
+        }
+    }
+    is_seen
 }
 
 /// Directions towards a ball: all of the sphere from within it.

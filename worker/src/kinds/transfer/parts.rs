@@ -33,20 +33,27 @@ struct Group {
     high_m: Vec3,
 }
 
-/// The surface of one patch.
+/// Weight of what nothing outside was found to see: little of it decides how parts are split.
+const UNSEEN: f32 = 0.02;
+
+/// The surface of patches.
 struct Facing<'a> {
     world: &'a World,
     tree: &'a PatchTree,
+    /// By leaf.
+    is_seen: &'a [bool],
 }
 
 impl Facing<'_> {
-    /// Receivers of a patch with their areas.
+    /// Receivers of a patch with their areas, as far as these are seen.
     fn receivers(&self, patch: u32) -> impl Iterator<Item = (&crate::lightmap::Receiver, f32)> {
-        let Self { world, tree } = self;
+        let Self { world, tree, is_seen } = self;
         let of = tree.receivers_of(&tree.patches[patch as usize]);
         of.iter().map(|&receiver| {
             let texel_m = world.lightmap.texel_m_of(receiver);
-            let area_m2 = tree.seen_areas[receiver as usize].texels() * texel_m * texel_m;
+            let weight =
+                if is_seen[tree.leaf_of_receiver[receiver as usize] as usize] { 1.0 } else { UNSEEN };
+            let area_m2 = weight * tree.seen_areas[receiver as usize].texels() * texel_m * texel_m;
             (&world.lightmap.receivers[receiver as usize], area_m2)
         })
     }
@@ -137,9 +144,9 @@ fn spread(group: &Group, side_m: f32) -> f32 {
 }
 
 impl Parts {
-    /// At most so many of an object whose largest side is `side_m`.
-    pub fn of(world: &World, tree: &PatchTree, count: u32, side_m: f32) -> Self {
-        let facing = Facing { world, tree };
+    /// At most so many of an object whose largest side is `side_m`; by leaf, whether anything outside sees it.
+    pub fn of((world, tree): (&World, &PatchTree), is_seen: &[bool], count: u32, side_m: f32) -> Self {
+        let facing = Facing { world, tree, is_seen };
         let roots: Vec<u32> = tree.roots().filter(|&root| facing.area_m2(root) > 0.0).collect();
         let mut groups: Vec<Group> = Vec::new();
         if !roots.is_empty() {

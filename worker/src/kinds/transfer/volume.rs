@@ -4,17 +4,23 @@ use std::collections::BTreeMap;
 
 use lightkiln_proto::jobs::TaskSpec;
 use lightkiln_proto::transfer::{
-    GLOWS_MAX, Lattice, PartGlow, TransferLevel, TransferPart, encode_transfer, node_codes,
+    GLOWS_MAX, Lattice, PARTS_MAX, PATCHES_MAX, PartGlow, TransferLevel, TransferPart, encode_transfer,
+    node_codes,
 };
 use rayon::prelude::*;
 
 use super::VolumeParams;
-use super::nodes::{Node, Sight};
+use super::nodes::{Node, Sight, seen_leaves};
 use super::parts::Parts;
 use crate::emitters::emissive_triangles;
 use crate::lightmap::World;
 use crate::patches::PatchTree;
 use crate::task::{Cancelled, Context, TaskError, TaskOutput, params};
+
+/// Share of all that is seen of the object from which on what is dark counts.
+const DARK_SHARE: f64 = 0.01;
+/// Emitters of a part at most.
+const GLOWS_OF_PART: usize = GLOWS_MAX / PARTS_MAX;
 
 /// Name of the chunk among the outputs.
 pub const CHUNK: &str = "volume";
@@ -27,7 +33,10 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let [low_m, high_m] = geometry.bounds_m();
     let box_m = [low_m.to_array(), high_m.to_array()];
     let lattice = Lattice::new(box_m, level, settings.transfer_nodes);
-    let parts = Parts::of(&world, &tree, settings.parts_of(level), (high_m - low_m).max_element());
+    let (middle_m, radius_m) = (0.5 * (low_m + high_m), 0.5 * (high_m - low_m).length());
+    let is_seen = context.progress.casting(|| seen_leaves(&world, &tree, middle_m, radius_m));
+    let side_m = (high_m - low_m).max_element();
+    let parts = Parts::of((&world, &tree), &is_seen, settings.parts_of(level), side_m);
     let emissive = emissive_triangles(geometry);
     let mut is_emissive = vec![false; geometry.triangles.len()];
     emissive.iter().for_each(|of| is_emissive[of.triangle as usize] = true);
@@ -38,7 +47,7 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
         lattice: &lattice,
         level,
         rays: settings.transfer_rays,
-        radius_m: 0.5 * (high_m - low_m).length(),
+        radius_m,
         is_emissive: &is_emissive,
     };
     let mut found =
@@ -53,16 +62,29 @@ pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> 
     let mut nodes: Vec<Node> =
         (0..found.node_count()).into_par_iter().map(node).collect::<Result<_, Cancelled>>()?;
     let inside = filled(&mut nodes, settings.transfer_nodes as usize);
+    let patches: usize = parts.parts.iter().map(|part| part.patches.len()).sum();
+    if patches > PATCHES_MAX {
+        let problem = format!(
+            "the object has {patches} pieces of surface, of {PATCHES_MAX} at most: give it larger texels, --set texel_m=…"
+        );
+        return Err(TaskError::bad_input(problem));
+    }
     found.parts = parts.parts;
     let dark = found.parts.len();
-    if nodes.iter().any(|node| node.sums[dark][3] > 0.0) {
-        found.parts.push(TransferPart::default());
+    let filled = |parts: std::ops::Range<usize>| -> f64 {
+        let of_node = |node: &Node| node.sums[parts.clone()].iter().map(|sum| f64::from(sum[3])).sum::<f64>();
+        nodes.iter().map(of_node).sum()
+    };
+    // Slivers that no texel stands for hide next to nothing.
+    if filled(dark..dark + 1) > DARK_SHARE * filled(0..dark + 1) {
+        found.parts.push(TransferPart { middle_m: middle_m.to_array(), ..TransferPart::default() });
     }
+    let is_read = lattice.read_nodes(level);
     let emitter_of: BTreeMap<u32, usize> =
         emissive.iter().zip(0..).map(|(of, at)| (of.triangle, at)).collect();
     for (number, part) in found.parts.iter_mut().enumerate() {
         let own: Vec<[f32; 4]> = nodes.iter().map(|node| node.sums[number]).collect();
-        let (codes, steps) = node_codes(&own);
+        let (codes, steps) = node_codes(&own, |node| is_read[node]);
         part.steps = steps;
         found.codes.extend(codes);
         part.glows = glows(&nodes, number, |triangle| emitter_of.get(&triangle).map(|at| &emissive[*at]));
@@ -94,7 +116,15 @@ fn glows<'a>(
         let sum = by_emitter.entry(of.emitter).or_default();
         *sum = [0, 1, 2].map(|channel| sum[channel] + share * of.mean_glow[channel]);
     }
-    by_emitter.into_iter().map(|(emitter, share)| PartGlow { emitter, share }).take(GLOWS_MAX).collect()
+    let mut found: Vec<PartGlow> =
+        by_emitter.into_iter().map(|(emitter, share)| PartGlow { emitter, share }).collect();
+    // The strongest, in the emitters' order.
+    found.sort_by(|a, b| {
+        b.share.iter().sum::<f32>().total_cmp(&a.share.iter().sum()).then(a.emitter.cmp(&b.emitter))
+    });
+    found.truncate(GLOWS_OF_PART);
+    found.sort_by_key(|glow| glow.emitter);
+    found
 }
 
 /// Gives nodes within the object the mean of their neighbours that have numbers, from outside inwards; tells how many there are.
