@@ -93,7 +93,7 @@ impl LoadedBake {
         }
         if self.light.voxels().is_none() {
             return refused(
-                "asks the bake that it stands in for voxels, which tell its light: bake that with --kind voxels, or with --set voxels=on as kind prt, grid or cloud",
+                "asks the bake that it stands in for voxels, which tell its light: bake that again with voxels=on, or with a kind that has them",
             );
         }
         let first = self.scene.draws.draws.len();

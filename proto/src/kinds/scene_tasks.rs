@@ -108,9 +108,19 @@ impl SceneTasks {
     /// # Panics
     /// If there are no receivers.
     #[must_use]
-    pub fn patched(mut self) -> Self {
+    pub fn patched(self) -> Self {
+        self.patched_by(Value::Null)
+    }
+
+    /// As [`Self::patched`], of a thing that is looked at from all around: surfaces that see nothing of it are seen.
+    #[must_use]
+    pub fn patched_from_around(self) -> Self {
+        self.patched_by(json!({ "from_around": true }))
+    }
+
+    fn patched_by(mut self, params: Value) -> Self {
         let inputs = [SceneTask::Import, SceneTask::Unwrap, SceneTask::Place];
-        self.follow(SceneTask::Patches, inputs, Value::Null, 5);
+        self.follow(SceneTask::Patches, inputs, params, 5);
         self
     }
 

@@ -65,8 +65,8 @@ struct Node {
     receivers: Vec<u32>,
 }
 
-/// The tree over all receivers. Errors soon after `progress` is cancelled.
-pub fn tree(world: &World, progress: &Progress) -> Result<PatchTree, TaskError> {
+/// The tree over all receivers, of a scene or of a thing that is looked at `from_around`. Errors soon after `progress` is cancelled.
+pub fn tree(world: &World, from_around: bool, progress: &Progress) -> Result<PatchTree, TaskError> {
     let size_m = world.lightmap.texel_m * LEAF_TEXELS;
     let mut waiting = receiver_items(world, size_m, progress)?;
     let (mut items, mut edges): (Vec<Item>, Vec<[u32; 2]>) = Default::default();
@@ -90,7 +90,7 @@ pub fn tree(world: &World, progress: &Progress) -> Result<PatchTree, TaskError> 
             item.place.cell = item.place.cell.map(|c| c.div_euclid(2));
         }
     }
-    Ok(flattened(world, &nodes, &items, seen_areas(world, progress)?))
+    Ok(flattened(world, &nodes, &items, seen_areas(world, from_around, progress)?))
 }
 
 /// Which of ±x, ±y, ±z a normal is nearest to.

@@ -14,7 +14,7 @@ use lightkiln_proto::jobs::TaskSpec;
 use serde::{Deserialize, Serialize};
 
 use crate::lightmap::World;
-use crate::task::{Context, TaskError, TaskOutput, artefact};
+use crate::task::{Context, TaskError, TaskOutput, artefact, params};
 
 pub use chunk::encoded;
 
@@ -23,13 +23,22 @@ const ARTEFACT_MAGIC: &[u8; 4] = b"LKpt";
 /// Name under which tasks see it.
 const ARTEFACT: &str = "patches/patches";
 
+/// Parameters of the task.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct PatchParams {
+    /// The scene is a thing that is looked at from all around.
+    from_around: bool,
+}
+
 /// Runs task `scene.patches`: inputs are those of [`World::of`]; output `patches`.
-pub fn run(context: &Context, _: &TaskSpec) -> Result<TaskOutput, TaskError> {
+pub fn run(context: &Context, task: &TaskSpec) -> Result<TaskOutput, TaskError> {
+    let params = if task.params.is_null() { PatchParams::default() } else { params(task)? };
     let world = World::of(context)?;
     let receivers = &world.lightmap.receivers;
     // Receivers stand block by block.
     chunk::check_blocks(receivers.chunk_by(|a, b| a.block == b.block).count())?;
-    let tree = grow::tree(&world, context.progress)?;
+    let tree = grow::tree(&world, params.from_around, context.progress)?;
     Ok(TaskOutput {
         artefacts: vec![("patches".into(), artefact::encode(ARTEFACT_MAGIC, &tree)?)],
         counters: [("patches".to_owned(), tree.patches.len() as f64)].into(),

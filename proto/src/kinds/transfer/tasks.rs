@@ -16,7 +16,8 @@ pub const ASSEMBLE: TaskKind = TaskKind { name: "transfer.assemble", version: 1 
 
 /// The tasks that every kind of a scene shares, and the plan of the rest.
 pub fn first_tasks(scene: Digest, settings: &Settings) -> Vec<TaskSpec> {
-    let shared = SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched();
+    let shared =
+        SceneTasks::of(scene).unwrapped(&settings.texels).placed(&settings.place).patched_from_around();
     let of_voxels = [voxels::RECEIVERS, voxels::REGION, voxels::TOP];
     let surfaces = [relightable::TRANSPORT, relightable::COLOUR, relightable::OVERVIEW];
     let rest = [&surfaces[..], &of_voxels, &[VOLUME, ASSEMBLE]].concat();
