@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
-use lightkiln_proto::transfer::{Standing, Surroundings, TransferTable, Viewpoints};
+use lightkiln_proto::transfer::{PartRadiance, Standing, Surroundings, TransferTable, Viewpoints};
 use lightkiln_proto::voxels::{Start, WalkLight, walk_within};
 use rayon::prelude::*;
 
@@ -44,7 +44,7 @@ struct Lit<'a> {
     /// What each part hides, likewise.
     hidden: Arc<Vec<Vec<Surroundings>>>,
     /// By level and part.
-    radiance: Arc<Vec<Vec<Vec3>>>,
+    radiance: Arc<PartRadiance>,
 }
 
 impl<'a> Standings<'a> {

@@ -25,7 +25,7 @@ pub use content::{
 };
 pub use lattice::{Axis, FADE_H, Lattice, REACH_H};
 pub use surroundings::{Surroundings, WALKS_OF_PART};
-pub use table::{Cap, Covered, Standing, TransferTable};
+pub use table::{Cap, Covered, PartRadiance, Standing, TransferTable};
 pub use viewpoints::Viewpoints;
 
 /// Role of the chunks of volumes, the coarsest first.

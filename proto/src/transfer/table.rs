@@ -16,12 +16,17 @@ const CAP_MIN_RAD: f32 = 0.2;
 /// Half width of a cap's rim, in cosine.
 const RIM: f32 = 0.06;
 
+/// Patches of a part by number, with their shares.
+type Shares = Vec<(u32, f32)>;
+/// Mean radiance of each part, by level, W·m⁻²·sr⁻¹.
+pub type PartRadiance = Vec<Vec<Vec3>>;
+
 /// The volume of an object.
 #[derive(Clone, Debug, Default)]
 pub struct TransferTable {
     levels: Vec<(TransferLevel, Lattice)>,
     /// Numbers of each part's patches, with their shares, by level.
-    patches: Vec<Vec<Vec<(u32, f32)>>>,
+    patches: Vec<Vec<Shares>>,
     middle_m: Vec3,
     h_m: f32,
 }
@@ -47,7 +52,7 @@ pub struct Standing<'a> {
     /// Of directions.
     turn_back: Mat3,
     /// Mean radiance of each part, by level, W·m⁻²·sr⁻¹.
-    radiance: Arc<Vec<Vec<Vec3>>>,
+    radiance: Arc<PartRadiance>,
     /// What each part hides, by level.
     hidden: Arc<Vec<Vec<Surroundings>>>,
 }
@@ -109,9 +114,9 @@ impl TransferTable {
     }
 
     /// Mean radiance of each part by level, of λ as the object's patches have it, and of the radiance of its emitters, W·m⁻²·sr⁻¹.
-    pub fn radiance(&self, lambda: &[Vec4], emitters: &[Vec3]) -> Vec<Vec<Vec3>> {
-        let of_level = |((level, _), patches): (&(TransferLevel, Lattice), &Vec<Vec<(u32, f32)>>)| {
-            let of_part = |(part, patches): (&TransferPart, &Vec<(u32, f32)>)| {
+    pub fn radiance(&self, lambda: &[Vec4], emitters: &[Vec3]) -> PartRadiance {
+        let of_level = |((level, _), patches): (&(TransferLevel, Lattice), &Vec<Shares>)| {
+            let of_part = |(part, patches): (&TransferPart, &Shares)| {
                 let reflected = patches.iter().map(|(patch, share)| {
                     lambda.get(*patch as usize).map_or(Vec3::ZERO, |light| light.truncate()) * *share
                 });
@@ -133,7 +138,7 @@ impl TransferTable {
     }
 
     /// Radiance of each part by level, of that in the surroundings of each viewpoint that sees something.
-    pub fn mixed(&self, viewpoints: &Viewpoints, by_viewpoint: &[Vec<Vec<Vec3>>]) -> Vec<Vec<Vec3>> {
+    pub fn mixed(&self, viewpoints: &Viewpoints, by_viewpoint: &[PartRadiance]) -> PartRadiance {
         let of_level = |(number, (level, _)): (usize, &(TransferLevel, Lattice))| {
             let of_part = |(at, part): (usize, &TransferPart)| {
                 let weights = viewpoints.weights(part.middle_m.into());
@@ -204,7 +209,7 @@ impl<'a> Standing<'a> {
     pub fn new(
         table: &'a TransferTable,
         world_from_object: Affine3A,
-        radiance: Arc<Vec<Vec<Vec3>>>,
+        radiance: Arc<PartRadiance>,
         hidden: Arc<Vec<Vec<Surroundings>>>,
     ) -> Self {
         let object_from_world = world_from_object.inverse();

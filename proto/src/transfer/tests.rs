@@ -55,7 +55,7 @@ fn nodes_stand_on_the_bounds_of_the_object_and_fill_the_cube() {
                 let bounds = [places[0] - middle_m[axis], places[nodes as usize - 1] - middle_m[axis]];
                 assert!((bounds[0] + half_m).abs() < 1e-5 && (bounds[1] - half_m).abs() < 1e-5, "{bounds:?}");
                 let [low, high] = [box_m[0][axis], box_m[1][axis]];
-                let before = places.iter().filter(|place| **place < low).last().unwrap();
+                let before = places.iter().rfind(|place| **place < low).unwrap();
                 let behind = places.iter().find(|place| **place > high).unwrap();
                 assert!(low - before < 0.01 && behind - high < 0.01, "{low} {high}: {places:?}");
                 for (node, place) in places.iter().enumerate() {

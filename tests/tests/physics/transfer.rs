@@ -211,9 +211,9 @@ fn volumes_have_no_colour_and_the_same_bytes_on_any_number_of_threads() {
     for level in &found {
         let lattice = lightkiln_proto::transfer::Lattice::new(level.box_m, level.level, level.nodes);
         let (mut worst, is_read) = (0.0_f32, lattice.read_nodes(level.level));
-        for node in 0..level.node_count() {
+        for (node, is_read) in is_read.iter().enumerate() {
             let away_m = lattice.node_m(node).distance(lattice.middle_m);
-            if away_m < 0.52 || !is_read[node] {
+            if away_m < 0.52 || !is_read {
                 continue;
             }
             let sum = |part: usize| {
