@@ -61,59 +61,50 @@ impl<'a> Standings<'a> {
 
     /// Light after the last bounce of all.
     pub fn settle(&'a self, lit: &LitScene<'a>, limit: Limit) -> SettledLight<'a> {
-        let Self { bake, placed } = self;
-        let mut settled = bake.light.settle(lit, &Among::default(), limit);
+        let (settled, moved) = self.balanced(lit, limit);
+        let placed = &self.placed;
         if placed.is_empty() {
             return settled;
         }
-        let mut moved_before = Moved::default();
-        let mut has_settled = false;
-        for _ in 0..ROUNDS_MAX {
-            let lights = self.light_objects(lit, &settled, &moved_before, limit);
-            let effects = effects(placed, &lights);
-            let moved = self.moved(&effects);
-            let is_last = moved.change_from(&moved_before) < CHANGE_MAX;
-            let among = Among { moved: Some(&moved.statics), ..Among::default() };
-            let next = bake.light.settle(lit, &among, limit);
-            settled = SettledLight { converged: next.converged && settled.converged, ..next };
-            moved_before = moved;
-            has_settled = is_last;
-            if is_last {
-                break;
-            }
-        }
-        let lights = self.light_objects(lit, &settled, &moved_before, limit);
-        let SettledLight { indirect, walks, bounces, converged } = settled;
+        let lights = self.light_objects(lit, &settled, &moved, limit);
         let effects = effects(placed, &lights);
         let lights = lights.into_iter().map(|light| light.indirect).collect();
-        let with = WithObjects { indirect, placed, lights, effects };
-        SettledLight { indirect: Box::new(with), walks, bounces, converged: converged && has_settled }
+        let indirect = Box::new(WithObjects { indirect: settled.indirect, placed, lights, effects });
+        SettledLight { indirect, ..settled }
     }
 
     /// Light at the bake's own receivers, E_ind with what objects give and take; `None` for a kind without receivers.
     pub fn at_receivers(&'a self, lit: &LitScene<'a>, limit: Limit) -> Option<SettledReceivers> {
-        let Self { bake, placed } = self;
-        if placed.is_empty() {
-            return bake.light.at_receivers(lit, &Among::default(), limit);
+        let light = &self.bake.light;
+        if self.placed.is_empty() {
+            return light.at_receivers(lit, &Among::default(), limit);
         }
-        let mut settled = bake.light.settle(lit, &Among::default(), limit);
-        let mut moved = Moved::default();
-        for _ in 0..ROUNDS_MAX {
-            let lights = self.light_objects(lit, &settled, &moved, limit);
-            let next = self.moved(&effects(placed, &lights));
-            let is_last = next.change_from(&moved) < CHANGE_MAX;
-            moved = next;
-            if is_last {
-                break;
-            }
-            let among = Among { moved: Some(&moved.statics), ..Among::default() };
-            settled = bake.light.settle(lit, &among, limit);
-        }
-        let among = Among { moved: Some(&moved.statics), ..Among::default() };
-        let mut found = bake.light.at_receivers(lit, &among, limit)?;
+        let (SettledLight { converged, .. }, moved) = self.balanced(lit, limit);
+        let mut found = light.at_receivers(lit, &moved.among(), limit)?;
         let own = found.light.indirect.iter_mut().zip(&found.light.emit).zip(&moved.statics);
         own.for_each(|((indirect, emit), moved)| *indirect = (*indirect + *moved).max(-*emit));
-        Some(found)
+        Some(SettledReceivers { converged, ..found })
+    }
+
+    /// Light of the bake, without what objects add at its pixels, and that, after as many rounds as change it.
+    fn balanced(&'a self, lit: &LitScene<'a>, limit: Limit) -> (SettledLight<'a>, Moved) {
+        let mut moved = Moved::default();
+        let mut settled = self.bake.light.settle(lit, &moved.among(), limit);
+        if self.placed.is_empty() {
+            return (settled, moved);
+        }
+        for round in 1..=ROUNDS_MAX {
+            let lights = self.light_objects(lit, &settled, &moved, limit);
+            let next = self.moved(&effects(&self.placed, &lights));
+            let change = next.change_from(&moved);
+            moved = next;
+            settled = self.bake.light.settle(lit, &moved.among(), limit);
+            if change < CHANGE_MAX {
+                break;
+            }
+            settled.converged &= round < ROUNDS_MAX;
+        }
+        (settled, moved)
     }
 
     /// Each object in the light around it.
@@ -217,6 +208,11 @@ struct Moved {
 }
 
 impl Moved {
+    /// The bake with it.
+    fn among(&self) -> Among<'_> {
+        Among { moved: (!self.statics.is_empty()).then_some(&self.statics), ..Among::default() }
+    }
+
     /// Relative change.
     fn change_from(&self, before: &Self) -> f64 {
         if before.statics.len() != self.statics.len() {
