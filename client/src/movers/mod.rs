@@ -18,8 +18,8 @@ use crate::scene::Stance;
 /// Times that light goes to and fro between a bake and its objects, at most: each brings a share of an object's albedo times that of its
 /// surroundings times what it fills of their view.
 const ROUNDS_MAX: usize = 6;
-/// Change of E_ind by a round, as a share of it, that ends them.
-const CHANGE_MAX: f64 = 1e-3;
+/// Change of ΔE by a round, as a share of it, that ends them: bounces end sooner than they would tell less apart.
+const CHANGE_MAX: f64 = 5e-3;
 
 /// Length of objects from which on the light around them is looked for at the corners of their bounds, in metres.
 const LONG_M: f32 = 0.5;
