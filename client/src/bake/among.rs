@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::{Affine3A, Mat3, Vec3, Vec4};
+use glam::{Affine3A, Mat3, Vec4};
 
 use super::LoadedBake;
 use crate::error::{ClientError, Result};
@@ -55,11 +55,6 @@ impl Mover {
     /// Its place where stances of objects have it.
     pub fn world_from_object(&self, stances: &[Stance]) -> Affine3A {
         world_from_object(&stances.get(self.object).copied().unwrap_or_default())
-    }
-
-    /// Its middle in its own space, in metres.
-    pub fn middle_m(&self) -> Vec3 {
-        self.bake.light.volume().map_or(Vec3::ZERO, lightkiln_proto::transfer::TransferTable::middle_m)
     }
 }
 

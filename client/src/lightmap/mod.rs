@@ -73,7 +73,7 @@ pub struct LightmapLight<C> {
     pub points: TexelPoints,
     /// Elements, of a bake that has some.
     pub voxels: Option<VoxelTable>,
-    /// What an object covers around it, of a bake that is one's.
+    /// Volume of a bake that is an object's.
     pub volume: Option<TransferTable>,
     /// Made when it is first asked for.
     lod: OnceLock<LodTable>,

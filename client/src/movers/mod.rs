@@ -41,7 +41,7 @@ struct Placed<'a> {
 /// Light of an object.
 struct Lit<'a> {
     indirect: FromViewpoints<'a>,
-    /// What each part hides, likewise.
+    /// Surroundings that each part hides, by level and part.
     hidden: Arc<Vec<Vec<Surroundings>>>,
     /// By level and part.
     radiance: Arc<PartRadiance>,

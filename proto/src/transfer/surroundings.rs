@@ -25,7 +25,7 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// What walks from a point in free space meet; `turn` is that of the object's frame. `None` from a point in geometry.
+    /// Radiance along walks from a point in free space; `turn` is that of the object's frame. `None` from a point in geometry.
     pub fn walked(light: &WalkLight<'_>, from_m: Vec3, turn: Mat3, parts: u32) -> Option<Self> {
         // As wide as its share of the sphere.
         let tangent = (4.0 / (WALKS_OF_PART * parts.max(1)) as f32).sqrt().min(1.0);

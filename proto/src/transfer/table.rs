@@ -53,7 +53,7 @@ pub struct Standing<'a> {
     turn_back: Mat3,
     /// Mean radiance of each part, by level, W·m⁻²·sr⁻¹.
     radiance: Arc<PartRadiance>,
-    /// What each part hides, by level.
+    /// Surroundings that each part hides, by level.
     hidden: Arc<Vec<Vec<Surroundings>>>,
 }
 
@@ -106,11 +106,6 @@ impl TransferTable {
     /// Lower and upper corner of the object in its own space, in metres.
     pub fn box_m(&self) -> [[f32; 3]; 2] {
         self.levels.first().map_or([[0.0; 3]; 2], |(level, _)| level.box_m)
-    }
-
-    /// Bytes of its codes.
-    pub fn resident_bytes(&self) -> usize {
-        self.levels.iter().map(|(level, _)| 4 * level.codes.len()).sum()
     }
 
     /// Mean radiance of each part by level, of λ as the object's patches have it, and of the radiance of its emitters, W·m⁻²·sr⁻¹.

@@ -12,7 +12,7 @@ const FLAT: f32 = 0.05;
 /// Least share of the way along an axis where those that are nearer see nothing.
 const ASIDE: f32 = 0.1;
 
-/// What an object's viewpoints see: its middle alone, or the corners of its bounds where it is so long that they differ.
+/// Surroundings as an object's viewpoints see them: its middle alone, or the corners of its bounds where it is so long that they differ.
 #[derive(Clone, Debug, Default)]
 pub struct Viewpoints {
     middle_m: Vec3,
@@ -70,7 +70,7 @@ impl Viewpoints {
         if exact.is_empty() { weights_of(ASIDE) } else { exact }
     }
 
-    /// What is seen from a place of the object.
+    /// Surroundings as a place of the object sees them.
     pub fn at(&self, at_m: Vec3) -> Surroundings {
         Surroundings::mixed(self.seen().zip(self.weights(at_m)))
     }
