@@ -2,7 +2,7 @@
 //! needs and runs it.
 //!
 //! Arguments name parts (`stores`, `plans`, `queue`, `idle`, `workers`, `scale-costs`, `scale-load`, `scale-model`, `rays`, `bakes`,
-//! `relight`, `field`, `walks`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
+//! `relight`, `field`, `walks`, `objects`); without any, all are measured. Figures go to standard output as rows of one table, which `tests/bench/README.md`
 //! keeps.
 
 #![allow(clippy::unwrap_used, reason = "a bench may end at any error")]
@@ -15,6 +15,7 @@ mod field;
 mod idle;
 #[path = "../../server/tests/model/mod.rs"]
 mod model;
+mod objects;
 #[path = "../../server/tests/parts/mod.rs"]
 mod parts;
 mod plans;
@@ -29,7 +30,7 @@ mod walks;
 mod workers;
 
 /// Measurements by name.
-const PARTS: [(&str, fn()); 13] = [
+const PARTS: [(&str, fn()); 14] = [
     ("stores", stores::measure),
     ("plans", plans::measure),
     ("queue", queue::measure),
@@ -43,6 +44,7 @@ const PARTS: [(&str, fn()); 13] = [
     ("relight", relight::measure),
     ("field", field::measure),
     ("walks", walks::measure),
+    ("objects", objects::measure),
 ];
 
 fn main() {

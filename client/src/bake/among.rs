@@ -13,7 +13,7 @@ use crate::scene::{Object, Stance, turn_of, world_from_object};
 pub struct Among<'a> {
     /// Its own space in that of the lights, of uniform scale: they are one where it is not an object that moves.
     pub world_from_scene: Affine3A,
-    /// Radiance of each part of the sphere around it in its own space, W·m⁻²·sr⁻¹, in place of the sky.
+    /// Irradiance by slot of what is around it, W·m⁻², in place of the sky: [`Light::under`](super::Light::under).
     pub around: Option<&'a [Vec4]>,
     /// Irradiance by slot that objects beside it give and take, W·m⁻².
     pub moved: Option<&'a [Vec4]>,
@@ -27,7 +27,7 @@ impl Among<'_> {
 }
 
 /// An object beside a bake with a bake of its own.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Mover {
     /// Its number among the objects of the scene.
     pub object: usize,

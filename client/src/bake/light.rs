@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use glam::Vec4;
+use glam::{Affine3A, Vec4};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
     LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, PatchTable, Sky,
@@ -13,12 +13,14 @@ use lightkiln_proto::voxels::VoxelTable;
 use super::{Among, FreeSpace, SettledWalks};
 use crate::error::Result;
 use crate::fetch::Source;
+use crate::passes::around::AroundPass;
 use crate::passes::atlas::Lightmap;
 use crate::passes::gpu::Gpu;
 use crate::passes::shade::{IndirectIrradiance, ShadeView, Shading};
 use crate::passes::shadow::reference::ShadowMaps;
 use crate::passes::shadow::{ShadowPass, ShadowPlan};
 use crate::passes::stopwatch::Recorder;
+use crate::passes::transfer::MovedBuffers;
 use crate::scene::{LoadedScene, Tints};
 use crate::stream::{Baked, Budget, Streamed, Viewpoint};
 
@@ -178,6 +180,12 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
+    /// Irradiance by slot of radiance of the parts of the sky alone, before any bounce, W·m⁻²; `None` for a kind without receivers.
+    fn under(&self, sky: &[Vec4]) -> Option<Vec<Vec4>> {
+        let _ = sky;
+        None
+    }
+
     /// Work before shading on the adapter, with the buffers that it needs, for views of `size`: width and height in pixels.
     fn passes(
         &self,
@@ -322,6 +330,33 @@ pub trait LightPasses {
     /// Records one bounce.
     fn bounce(&self, encoder: &mut Recorder<'_>) {
         let _ = encoder;
+    }
+
+    /// Writes where the bake of an object stands.
+    fn set_place(&self, gpu: &Gpu, world_from_own: &Affine3A) {
+        let _ = (gpu, world_from_own);
+    }
+
+    /// Makes room for what objects beside the bake give and take at its receivers, once; from then on bounces have it.
+    fn make_moved(&mut self, gpu: &Gpu) -> Result<()> {
+        let _ = gpu;
+        Ok(())
+    }
+
+    /// That room; `None` for a kind without receivers.
+    fn moved(&self) -> Option<MovedBuffers<'_>> {
+        None
+    }
+
+    /// Makes room for light of what is around the bake of an object, once; from then on bounces have it.
+    fn make_around(&mut self, gpu: &Gpu, around: &AroundPass) -> Result<()> {
+        let _ = (gpu, around);
+        Ok(())
+    }
+
+    /// Records that light, of what viewpoints see now. Twin: [`Light::under`].
+    fn light_around(&self, encoder: &mut Recorder<'_>, around: &AroundPass) {
+        let _ = (encoder, around);
     }
 
     /// Makes what [`LightPasses::set_lod`] needs, once.

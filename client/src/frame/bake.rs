@@ -2,6 +2,7 @@
 
 use glam::Vec4;
 
+use super::movers::{Around, Movers};
 use super::{Frame, Held, lod_table};
 use crate::bake::{LightPasses, LoadedBake, Overlay};
 use crate::error::{ClientError, Result};
@@ -12,6 +13,8 @@ struct Passes {
     light: Box<dyn LightPasses>,
     change: Option<ChangePass>,
     overlay: Option<(Overlay, Vec<Vec4>)>,
+    /// Of objects with bakes of their own.
+    around: Option<Around>,
 }
 
 /// No light, while the passes of one bake are gone and those of another not there yet.
@@ -33,6 +36,9 @@ impl<'a> Frame<'a> {
             Err(ClientError::AdapterFull { .. }) => {
                 (self.light, self.change) = (Box::new(Dark), None);
                 self.drop_walks();
+                if let Some(movers) = &mut self.movers {
+                    movers.around = None;
+                }
                 self.gpu.let_go()?;
                 match self.passes_of(&bake) {
                     Err(error) => {
@@ -61,17 +67,22 @@ impl<'a> Frame<'a> {
             light.make_lod(&self.gpu, lod_table(bake)?)?;
         }
         let change = light.feedback().map(|feedback| ChangePass::new(&self.gpu, feedback)).transpose()?;
+        let of = |movers: &Movers| movers.around_of(&self.gpu, bake, &self.shadow, &mut *light);
+        let around = self.movers.as_ref().map(of).transpose()?;
         self.gpu.check()?;
-        Ok(Passes { light, change, overlay })
+        Ok(Passes { light, change, overlay, around })
     }
 
     fn take(&mut self, bake: Held<'a, LoadedBake>, passes: Passes) -> Result<()> {
-        let Passes { light, change, overlay } = passes;
+        let Passes { light, change, overlay, around } = passes;
         self.shade.bind(&self.gpu, &light.bindings())?;
         self.has_paint = overlay.is_some();
         (self.has_lod, self.lod_plan) = (self.lod.is_some(), None);
         self.overlay = overlay;
         (self.light, self.change, self.bake) = (light, change, bake);
+        if let Some(movers) = &mut self.movers {
+            movers.around = around;
+        }
         self.drop_fog_pass();
         self.drop_walks();
         self.plan_lod();
@@ -80,6 +91,6 @@ impl<'a> Frame<'a> {
         }
         (self.stale.lights, self.stale.cascades) = (true, true);
         self.write_unshadowed();
-        Ok(())
+        self.place_movers()
     }
 }

@@ -35,7 +35,11 @@ impl Frame<'_> {
     /// The last change by a bounce that was heard of, since lights changed; 0 for a kind without feedback. In some detail, that by
     /// bounces in which each cluster takes part once at least; and by those between, where an adapter that is behind left answers out.
     pub fn change(&self) -> Option<f32> {
-        if self.change.is_none() { Some(0.0) } else { self.bounces.change(self.cycle()) }
+        if self.change.is_none() {
+            return Some(0.0);
+        }
+        let of_movers = self.movers.as_ref().map_or(Some(0.0), |movers| movers.change());
+        Some(self.bounces.change(self.cycle())?.max(of_movers?))
     }
 
     /// Plans the detail of each cluster for the eye: light changes wherever the eye has moved.

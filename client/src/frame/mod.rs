@@ -19,8 +19,10 @@ mod bounces;
 mod fog;
 mod held;
 mod lod;
+mod movers;
 mod objects;
 mod overlay;
+mod room;
 #[cfg(test)]
 mod tests;
 mod walks;
@@ -34,7 +36,7 @@ use lightkiln_proto::scene::{SceneCamera, SceneLight};
 use crate::bake::{
     LightPasses, LoadedBake, MeasuredErrors, Overlay, ReceiverBuffers, ReceiverLight, Unshadowed,
 };
-use crate::error::{ClientError, Result};
+use crate::error::Result;
 use crate::lights::{Caster, Panorama, Sky, check_lights, check_scale};
 use crate::passes::change::ChangePass;
 use crate::passes::fog::{Fog, FogNumbers, FogPass};
@@ -50,6 +52,7 @@ use crate::scene::{Recolour, Stance, Tints, bounds_of};
 use bounces::Bounces;
 pub use held::Held;
 pub(crate) use lod::{check_lod, lod_eye, lod_table};
+use movers::Movers;
 
 /// Room of a frame's buffers: what changes within it makes none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,6 +86,8 @@ pub struct Frame<'a> {
     fog_filled: Option<FogNumbers>,
     walks: Walks,
     walking: Option<walks::Walking>,
+    /// With bakes of their own.
+    movers: Option<Movers>,
     lod: Option<Lod>,
     has_lod: bool,
     lod_plan: Option<LodPlan>,
@@ -114,6 +119,8 @@ struct Stale {
     direct: bool,
     /// Cascades alone.
     cascades: bool,
+    /// What objects with bakes of their own see.
+    sights: bool,
     /// E_ind, which is to be black before the next bounce.
     light: bool,
     /// Irradiance of the last bounce as shading reads it.
@@ -139,16 +146,16 @@ impl<'a> Frame<'a> {
     ) -> Result<Self> {
         let (gpu, bake) = (&*held_gpu, &*held_bake);
         let scene = &bake.scene;
-        if !bake.movers.is_empty() {
-            let problem = "objects with bakes of their own are drawn by the processor".to_owned();
-            return Err(ClientError::Adapter { problem });
-        }
         room.shadows.check()?;
         let meshes = Meshes::new(gpu, scene)?;
-        let shadow = ShadowPass::new(gpu, scene, &meshes, &room.shadows)?;
-        let light = bake.light.passes(gpu, scene, &shadow, room.size)?;
+        let sights = bake.movers.len() as u32;
+        let shadow = ShadowPass::with_sights(gpu, scene, &meshes, &room.shadows, sights)?;
+        let mut light = bake.light.passes(gpu, scene, &shadow, room.size)?;
+        let movers = Movers::new(gpu, bake, &shadow, &mut *light, room.size)?;
         let shading = (&bake.light.shading(), &light.bindings()[..]);
-        let shade = ShadePass::new(gpu, scene, &meshes, &shadow, shading, room.size)?;
+        let objects = movers.as_ref().and_then(Movers::shading);
+        let shade = ShadePass::new(gpu, scene, &meshes, &shadow, shading, objects.as_ref(), room.size)?;
+        drop(objects);
         let change = light.feedback().map(|feedback| ChangePass::new(gpu, feedback)).transpose()?;
         let watch = Stopwatch::new(gpu);
         gpu.check()?;
@@ -176,6 +183,7 @@ impl<'a> Frame<'a> {
             fog_filled: None,
             walks: Walks::default(),
             walking: None,
+            movers,
             lod: None,
             has_lod: false,
             lod_plan: None,
@@ -190,10 +198,18 @@ impl<'a> Frame<'a> {
             object_bounds_m,
             bounds_m,
             plan,
-            stale: Stale { lights: true, direct: true, cascades: true, light: true, pages: true },
+            stale: Stale {
+                lights: true,
+                direct: true,
+                cascades: true,
+                sights: true,
+                light: true,
+                pages: true,
+            },
             bounces: Bounces::default(),
         };
         frame.set_camera(frame.camera.clone())?;
+        frame.place_movers()?;
         frame.write_unshadowed();
         Ok(frame)
     }
@@ -286,8 +302,17 @@ impl<'a> Frame<'a> {
             if let Some((e_ind, _)) = self.light.feedback().filter(|_| clears) {
                 encoder.clear_buffer(e_ind, 0, None);
             }
+            if let Some(movers) = &self.movers {
+                if clears {
+                    movers.clear(encoder, &*self.light);
+                }
+                movers.bounce(encoder, &self.shadow);
+            }
             self.light.bounce(encoder);
         });
+        if let Some(movers) = &mut self.movers {
+            movers.ask(&self.gpu, &mut self.watch, self.bounces.count == 0);
+        }
         let call = change.ask(&self.gpu, &mut self.watch);
         self.bounces.add(call);
         self.stale.pages = true;
@@ -327,6 +352,9 @@ impl<'a> Frame<'a> {
         let colours = overlay.map(|of| overlay::colours_of(of, &self.bake, self.lod_plan.as_ref()));
         let (gpu, light) = (&*self.gpu, &self.light);
         self.watch.submit(gpu, |encoder| {
+            if let Some(movers) = self.movers.as_ref().filter(|_| publishes) {
+                movers.publish(encoder);
+            }
             match colours {
                 Some(colours) => light.paint(gpu, encoder, &colours),
                 None if publishes => light.publish(encoder),
@@ -341,47 +369,6 @@ impl<'a> Frame<'a> {
         let gpu = &*self.gpu;
         gpu.poll(false)?;
         self.watch.hear(gpu)
-    }
-
-    /// Makes room for views of another size. Errs, and changes nothing, where the adapter has not so much.
-    pub fn resize(&mut self, size: [u32; 2]) -> Result<()> {
-        let room = FrameRoom { size, ..self.room };
-        if room != self.room {
-            self.shade.resize(&self.gpu, size)?;
-            self.room = room;
-            self.drop_fog_pass();
-            if let Some(walking) = &mut self.walking {
-                walking.forget_room();
-            }
-            self.plan_lod();
-        }
-        Ok(())
-    }
-
-    /// Makes room for these lights with shadow maps of at most `side` texels, if they are more than there is room for. Errs, and
-    /// changes nothing, where there can be none.
-    pub fn make_room(&mut self, lights: &[SceneLight], side: u32) -> Result<()> {
-        let casters = Caster::of(lights);
-        let bounds_m = self.bake.scene.manifest.bounds_m;
-        if ShadowPlan::within(&self.room.shadows, &casters, bounds_m, None).is_ok() {
-            return Ok(());
-        }
-        // Current lights stay until others are set.
-        let shadows =
-            ShadowRoom::for_lights(&casters, side)?.and(ShadowRoom::for_lights(&self.casters, side)?);
-        let shadow = ShadowPass::new(&self.gpu, &self.bake.scene, &self.meshes, &shadows)?;
-        self.gpu.check()?;
-        let former = std::mem::replace(&mut self.room.shadows, shadows);
-        match self.planned(&self.casters, &self.camera) {
-            Ok(plan) => (self.shadow, self.plan) = (shadow, plan),
-            Err(error) => {
-                self.room.shadows = former;
-                return Err(error);
-            }
-        }
-        self.shadow.set(&self.gpu, &self.plan);
-        (self.stale.lights, self.stale.cascades) = (true, true);
-        Ok(())
     }
 
     /// The sample drawn last, on the adapter: rgb radiance, alpha 1 on surfaces. [`Frame::resize`] makes another one.
@@ -408,15 +395,25 @@ impl<'a> Frame<'a> {
     /// Light at receivers and probes as of the last bounce, after a wait; `None` for a kind without receivers.
     pub fn read_receivers(&mut self) -> Result<Option<ReceiverLight>> {
         if std::mem::take(&mut self.stale.pages) {
-            self.watch.submit(&self.gpu, |encoder| self.light.publish(encoder));
+            self.watch.submit(&self.gpu, |encoder| {
+                self.movers.iter().for_each(|movers| movers.publish(encoder));
+                self.light.publish(encoder);
+            });
         }
         let Some(buffers) = self.light.at_receivers() else { return Ok(None) };
         let ReceiverBuffers { direct, emit, indirect, count, probes } = buffers;
         let probes = probes.filter(|(_, rows)| *rows > 0);
+        let emit: Vec<Vec4> = self.gpu.read(emit, count)?;
+        let mut indirect: Vec<Vec4> = self.gpu.read(indirect, count)?;
+        if let Some(at) = self.light.moved() {
+            let moved: Vec<Vec4> = self.gpu.read(at.moved, count)?;
+            let own = indirect.iter_mut().zip(&moved).zip(&emit);
+            own.for_each(|((light, moved), emit)| *light = (*light + *moved).max(-*emit));
+        }
         Ok(Some(ReceiverLight {
             direct: self.gpu.read(direct, count)?,
-            emit: self.gpu.read(emit, count)?,
-            indirect: self.gpu.read(indirect, count)?,
+            emit,
+            indirect,
             probes: probes.map_or(Ok(Vec::new()), |(rows, count)| self.gpu.read(rows, count))?,
         }))
     }
@@ -454,6 +451,9 @@ impl<'a> Frame<'a> {
     fn hear(&mut self, waits: bool) -> Result<()> {
         let Some(change) = &mut self.change else { return Ok(()) };
         let answers = change.answers(&self.gpu, waits)?;
+        if let Some(movers) = &mut self.movers {
+            self.stale.light |= movers.hear(&self.gpu, waits)?;
+        }
         self.watch.hear(&self.gpu)?;
         let cycle = self.cycle();
         for answer in answers {
@@ -466,9 +466,9 @@ impl<'a> Frame<'a> {
 
     /// Draws the shadow maps that changes ask for, and E_dir.
     fn draw_shadows(&mut self) {
-        let Stale { lights, direct, cascades, .. } = self.stale;
+        let Stale { lights, direct, cascades, sights, .. } = self.stale;
         let first = if lights { 0 } else { self.plan.first_cascade };
-        if !cascades && !direct {
+        if !cascades && !direct && !sights {
             return;
         }
         self.fog_filled = None;
@@ -476,11 +476,16 @@ impl<'a> Frame<'a> {
             if cascades {
                 self.shadow.record(encoder, &self.meshes, first..self.plan.faces.len());
             }
+            if let Some(movers) = self.movers.as_ref().filter(|_| sights) {
+                let own = 0..self.bake.scene.own_draws();
+                self.shadow.record_sights(encoder, (&self.meshes, own), movers.len());
+            }
             if lights || direct {
                 self.light.relit(encoder, &self.shadow);
+                self.movers.iter().for_each(|movers| movers.relit(encoder, &self.shadow));
             }
         });
-        (self.stale.lights, self.stale.direct, self.stale.cascades) = (false, false, false);
+        self.stale = Stale { lights: false, direct: false, cascades: false, sights: false, ..self.stale };
     }
 }
 

@@ -35,6 +35,6 @@ impl Frame<'_> {
         self.shadow.set(&self.gpu, &self.plan);
         self.stale = Stale { lights: true, cascades: true, pages: true, ..self.stale };
         self.bounces = Bounces::default();
-        Ok(())
+        self.place_movers()
     }
 }

@@ -1,5 +1,7 @@
 //! Parts of a picture that walks through voxels make.
 
+use std::sync::Arc;
+
 use super::Frame;
 use crate::bake::emitter_radiance;
 use crate::error::{ClientError, Result};
@@ -9,7 +11,7 @@ use crate::passes::walk::{WalkPass, WalkTable, Walks};
 /// Elements and pipelines, made for the first picture that needs them.
 #[derive(Debug)]
 pub(super) struct Walking {
-    table: WalkTable,
+    table: Arc<WalkTable>,
     pass: WalkPass,
     /// Size, step and whether there is irradiance of the pictures that there is room for.
     room: Option<([u32; 2], u32, bool)>,
@@ -47,10 +49,12 @@ impl Frame<'_> {
 
     /// Writes what elements emit.
     pub(super) fn write_glows(&self) {
-        let (Some(walking), Some((table, _))) = (&self.walking, self.bake.light.voxels()) else { return };
+        let of_movers = self.walks_of_movers();
+        let walks = of_movers.or(self.walking.as_ref().map(|walking| &walking.table));
+        let (Some(walks), Some((table, _))) = (walks, self.bake.light.voxels()) else { return };
         let emitters = emitter_radiance(&self.bake.scene.manifest, &self.emitter_scale);
         let radiance = |emitter: u16| emitters.get(usize::from(emitter)).copied().unwrap_or_default();
-        walking.table.set_emitters(&self.gpu, table, radiance);
+        walks.set_emitters(&self.gpu, table, radiance);
     }
 
     /// Parts of the next picture that walks make; none over colours that stand for light.
@@ -97,12 +101,20 @@ impl Frame<'_> {
         self.watch.submit(&self.gpu, |encoder| walking.pass.draw_seen(encoder, &walking.table, picture));
     }
 
+    /// Elements that objects with bakes of their own are lit by.
+    fn walks_of_movers(&self) -> Option<&Arc<WalkTable>> {
+        Some(&self.movers.as_ref()?.around.as_ref()?.walks)
+    }
+
     fn make_walks(&mut self, walks: &Walks) -> Result<()> {
         let (Some(elements), Some(lambda)) = (self.bake.light.voxels(), self.light.lambda()) else {
             return Ok(());
         };
         if self.walking.is_none() {
-            let table = WalkTable::new(&self.gpu, elements, lambda)?;
+            let table = match self.walks_of_movers() {
+                Some(walks) => walks.clone(),
+                None => Arc::new(WalkTable::new(&self.gpu, elements, lambda)?),
+            };
             let pass = WalkPass::new(&self.gpu, &table, self.shade.view_buffer());
             self.gpu.check()?;
             self.walking = Some(Walking { table, pass, room: None });

@@ -1,6 +1,7 @@
 //! Light in a lightmap: receivers on texels, lit by factorised transport whose columns a kind gives.
 
 mod debug;
+mod moved;
 mod passes;
 #[cfg(test)]
 mod tests;
@@ -205,6 +206,10 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
 
     fn at_receivers(&self, lit: &LitScene<'_>, among: &Among<'_>, limit: Limit) -> Option<SettledReceivers> {
         Some(self.settled(lit, among, limit).at_receivers(Vec::new()))
+    }
+
+    fn under(&self, sky: &[Vec4]) -> Option<Vec<Vec4>> {
+        Some(self.transport.under(&Threads, sky))
     }
 
     fn passes(

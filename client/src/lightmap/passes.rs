@@ -1,21 +1,25 @@
 //! The passes of light in a lightmap on the adapter, with their buffers.
 
-use glam::Vec4;
+use glam::{Affine3A, Vec4};
 use lightkiln_proto::relight::{LodPlan, LodTable};
 
+use super::moved::{AroundLight, MovedLight};
 use super::{ClientColumns, LightmapLight};
 use crate::bake::{LightPasses, ReceiverBuffers, UnshadowedArrays};
 use crate::error::Result;
+use crate::passes::around::AroundPass;
 use crate::passes::atlas::{AtlasPass, placements};
 use crate::passes::basis::BasisPass;
 use crate::passes::direct::TexelsPass;
 use crate::passes::gpu::Gpu;
 use crate::passes::lod::LodPass;
 use crate::passes::near::NearPass;
+use crate::passes::place::Place;
 use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::resident::{ColumnsPass, Resident};
 use crate::passes::shadow::ShadowPass;
 use crate::passes::stopwatch::Recorder;
+use crate::passes::transfer::MovedBuffers;
 use crate::passes::walked::WalkedPass;
 use crate::scene::LoadedScene;
 
@@ -32,6 +36,8 @@ pub struct LightmapPasses {
     pub(crate) atlas: AtlasPass,
     placements: wgpu::Buffer,
     lod: Option<LodPass>,
+    pub(super) moved: Option<MovedLight>,
+    pub(super) around: Option<AroundLight>,
     /// Halves of colours by slot, and the atlas pass over them twice.
     paint: Option<(wgpu::Buffer, wgpu::BindGroup)>,
 }
@@ -45,7 +51,9 @@ impl LightmapPasses {
         shadow: &ShadowPass,
     ) -> Result<Self> {
         let transport = &light.transport;
-        let resident = Resident::new(gpu, transport)?;
+        let mut resident = Resident::new(gpu, transport)?;
+        // The bake of an object.
+        resident.place = light.volume.as_ref().map(|_| Place::new(gpu));
         let receivers = RowArrays {
             b: &resident.b,
             start: &resident.e_near,
@@ -69,6 +77,8 @@ impl LightmapPasses {
             placements: gpu.storage("placements", &placements(scene))?,
             resident,
             lod: None,
+            moved: None,
+            around: None,
             paint: None,
         })
     }
@@ -93,6 +103,12 @@ impl LightPasses for LightmapPasses {
 
     /// E_ind of the bounce before → E_ind.
     fn bounce(&self, encoder: &mut Recorder<'_>) {
+        if let Some(moved) = &self.moved {
+            moved.add(encoder, &self.resident);
+        }
+        if let Some(around) = &self.around {
+            around.begin(encoder, &self.resident);
+        }
         self.columns.record(&mut encoder.compute("columns"));
         self.basis.record(&mut encoder.compute("basis"));
         if let Some(lod) = &self.lod {
@@ -102,10 +118,42 @@ impl LightPasses for LightmapPasses {
         if let Some(walked) = &self.walked {
             walked.record(&mut encoder.compute("walks of receivers"));
         }
+        if let Some(around) = &self.around {
+            around.add(encoder);
+        }
+        if let Some(moved) = &self.moved {
+            moved.take_away(encoder, &self.resident);
+        }
         self.reconstruct.record(&mut encoder.compute("reconstruct"));
         if let Some(lod) = &self.lod {
             lod.fill(&mut encoder.compute("level of detail"));
         }
+    }
+
+    fn set_place(&self, gpu: &Gpu, world_from_own: &Affine3A) {
+        if let Some(place) = &self.resident.place {
+            place.set(gpu, world_from_own);
+        }
+    }
+
+    fn make_moved(&mut self, gpu: &Gpu) -> Result<()> {
+        self.moved = Some(MovedLight::new(gpu, &self.resident)?);
+        Ok(())
+    }
+
+    fn moved(&self) -> Option<MovedBuffers<'_>> {
+        let Resident { positions, normals, receiver_count: count, .. } = &self.resident;
+        let moved = &self.moved.as_ref()?.moved;
+        Some(MovedBuffers { positions, normals, moved, count: *count })
+    }
+
+    fn make_around(&mut self, gpu: &Gpu, around: &AroundPass) -> Result<()> {
+        self.around = Some(AroundLight::new(gpu, &self.resident, around)?);
+        Ok(())
+    }
+
+    fn light_around(&self, encoder: &mut Recorder<'_>, around: &AroundPass) {
+        self.record_around(encoder, around);
     }
 
     fn make_lod(&mut self, gpu: &Gpu, table: &LodTable) -> Result<()> {

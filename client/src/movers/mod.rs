@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
-use lightkiln_proto::transfer::{PartRadiance, Standing, Surroundings, TransferTable, Viewpoints};
-use lightkiln_proto::voxels::{Start, WalkLight, walk_within};
+use lightkiln_proto::transfer::{Hidden, PartRadiance, Standing, Surroundings, TransferTable, Viewpoints};
+use lightkiln_proto::voxels::{Start, VoxelTable, walk_within};
 use rayon::prelude::*;
 
 use crate::bake::{Among, LitScene, LoadedBake, Mover, SettledLight, SettledReceivers, Unshadowed};
@@ -40,9 +40,9 @@ struct Placed<'a> {
 
 /// Light of an object.
 struct Lit<'a> {
-    indirect: FromViewpoints<'a>,
-    /// Surroundings that each part hides, by level and part.
-    hidden: Arc<Vec<Vec<Surroundings>>>,
+    indirect: Box<dyn IndirectIrradiance + 'a>,
+    /// Radiance that each part hides, by level and part.
+    hidden: Arc<Vec<Vec<Hidden>>>,
     /// By level and part.
     radiance: Arc<PartRadiance>,
 }
@@ -120,41 +120,25 @@ impl<'a> Standings<'a> {
             let Placed { mover, volume, world_from_object, .. } = placed;
             let among = Among { world_from_scene: *world_from_object, ..Among::default() };
             let parts = mover.bake.light.voxels().map_or(0, |(_, patches)| patches.sky_parts);
-            let scale = world_from_object.matrix3.x_axis.length();
-            let is_long = 2.0 * volume.half_side_m() * scale > LONG_M;
-            let viewpoints = Viewpoints::new(volume.box_m(), is_long, |from_m| {
+            let viewpoints = Viewpoints::new(volume.box_m(), is_long(volume, world_from_object), |from_m| {
                 let light = walked.as_ref()?;
                 let [middle_m, from_m] =
                     [volume.middle_m(), from_m].map(|at_m| world_from_object.transform_point3(at_m));
-                is_open(light, middle_m, from_m)
+                is_open(light.table(), middle_m, from_m)
                     .then(|| Surroundings::walked(light, from_m, among.turn(), parts))
                     .flatten()
             });
-            let dark = Surroundings::new(parts, |_| Vec3::ZERO);
-            let mut seen: Vec<&Surroundings> = viewpoints.seen().collect();
-            if seen.is_empty() {
-                seen.push(&dark);
-            }
+            let around = around_of(&mover.bake, &viewpoints);
             let own = moved.objects.get(index).map(Vec::as_slice);
             let unshadowed = Unshadowed { emitter_scale: &[], panorama: None, ..lit.unshadowed };
             let of_object = LitScene { scene: &mover.bake.scene, unshadowed, lod: None, ..*lit };
-            let settled: Vec<SettledLight<'a>> = seen
-                .iter()
-                .map(|seen| {
-                    let among = Among { around: Some(seen.radiance()), moved: own, ..among };
-                    mover.bake.light.settle(&of_object, &among, limit)
-                })
-                .collect();
-            let by_viewpoint: Vec<_> = settled
-                .iter()
-                .filter_map(|settled| settled.walks.as_ref())
-                .map(|walks| volume.radiance(&walks.lambda, &walks.emitters))
-                .collect();
-            let radiance = Arc::new(volume.mixed(&viewpoints, &by_viewpoint));
-            let indirect = settled.into_iter().map(|settled| settled.indirect).collect();
-            let object_from_world = world_from_object.inverse();
+            let among = Among { around: Some(&around), moved: own, ..among };
+            let settled = mover.bake.light.settle(&of_object, &among, limit);
+            let radiance =
+                settled.walks.as_ref().map(|walks| volume.radiance(&walks.lambda, &walks.emitters));
+            let radiance = Arc::new(radiance.unwrap_or_default());
             let hidden = Arc::new(volume.hidden(&viewpoints));
-            Lit { indirect: FromViewpoints { indirect, viewpoints, object_from_world }, hidden, radiance }
+            Lit { indirect: settled.indirect, hidden, radiance }
         };
         self.placed.iter().enumerate().map(of).collect()
     }
@@ -181,12 +165,29 @@ impl<'a> Standings<'a> {
     }
 }
 
+/// Irradiance at an object's receivers by slot of what its viewpoints see, each receiver's by its place among them, W·m⁻².
+fn around_of(bake: &LoadedBake, viewpoints: &Viewpoints) -> Vec<Vec4> {
+    let Some(lightmap) = bake.light.lightmap(&bake.scene) else { return Vec::new() };
+    let seen = viewpoints.seen().filter_map(|seen| bake.light.under(seen.radiance()));
+    let by_viewpoint: Vec<Vec<Vec4>> = seen.collect();
+    let receivers = lightmap.receivers.position_m.par_iter().enumerate();
+    let of_slot = |(slot, at_m): (usize, &Vec4)| {
+        let weights = viewpoints.weights(at_m.truncate());
+        by_viewpoint.iter().zip(weights).map(|(own, weight)| weight * own[slot]).sum()
+    };
+    receivers.map(of_slot).collect()
+}
+
+/// Whether light around an object is looked for at the corners of its bounds.
+pub(crate) fn is_long(volume: &TransferTable, world_from_object: &Affine3A) -> bool {
+    2.0 * volume.half_side_m() * world_from_object.matrix3.x_axis.length() > LONG_M
+}
+
 /// Nothing of the bake stands between two points, or the first lies in something.
-fn is_open(light: &WalkLight<'_>, from_m: Vec3, to_m: Vec3) -> bool {
+pub(crate) fn is_open(voxels: &VoxelTable, from_m: Vec3, to_m: Vec3) -> bool {
     let way_m = to_m - from_m;
     let Some(direction) = way_m.try_normalize() else { return true };
-    walk_within(light.table(), &Start::free(from_m), direction, 0.0, way_m.length())
-        .is_none_or(|hit| hit.is_back)
+    walk_within(voxels, &Start::free(from_m), direction, 0.0, way_m.length()).is_none_or(|hit| hit.is_back)
 }
 
 fn effects<'b>(placed: &'b [Placed<'_>], lights: &[Lit<'_>]) -> Vec<Effect<'b>> {
@@ -233,35 +234,8 @@ struct WithObjects<'a> {
     indirect: Box<dyn IndirectIrradiance + 'a>,
     placed: &'a [Placed<'a>],
     /// Of each object.
-    lights: Vec<FromViewpoints<'a>>,
+    lights: Vec<Box<dyn IndirectIrradiance + 'a>>,
     effects: Vec<Effect<'a>>,
-}
-
-/// Light of an object in the surroundings that each of its viewpoints sees, mixed by the place on it.
-struct FromViewpoints<'a> {
-    indirect: Vec<Box<dyn IndirectIrradiance + 'a>>,
-    viewpoints: Viewpoints,
-    object_from_world: Affine3A,
-}
-
-impl IndirectIrradiance for FromViewpoints<'_> {
-    fn prepare_view(&mut self, view: &ShadeView, size: [u32; 2]) {
-        self.indirect.iter_mut().for_each(|light| light.prepare_view(view, size));
-    }
-
-    fn indirect_irradiance(&self, surface: &Surface) -> Vec3 {
-        let at_m = self.object_from_world.transform_point3(surface.position);
-        let weights = self.viewpoints.weights(at_m);
-        match &self.indirect[..] {
-            // Nothing is seen from any viewpoint.
-            [dark] if weights.is_empty() => dark.indirect_irradiance(surface),
-            all => all
-                .iter()
-                .zip(weights)
-                .map(|(light, weight)| weight * light.indirect_irradiance(surface))
-                .sum(),
-        }
-    }
 }
 
 impl IndirectIrradiance for WithObjects<'_> {

@@ -4,6 +4,7 @@
 //! Each pass is a folder: the shader, its caller, and `reference.rs`, which does the same on the processor over the same
 //! arrays. `TOLERANCE` bounds the difference between the two, and a test holds them to it.
 
+pub mod around;
 pub mod atlas;
 pub mod basis;
 pub mod change;
@@ -18,6 +19,7 @@ pub mod meter;
 pub mod near;
 mod overheard;
 pub mod patches;
+pub mod place;
 pub mod reconstruct;
 pub mod resident;
 mod room;

@@ -7,6 +7,7 @@ use lightkiln_proto::relight::{Cluster, Columns, Packing, Transport};
 
 use super::gpu::Gpu;
 use super::lod::DetailBuffers;
+use super::place::Place;
 use super::room::full;
 use crate::error::Result;
 
@@ -33,6 +34,8 @@ pub struct Resident {
     pub b: wgpu::Buffer,
     /// The part of each cluster that bounces compute.
     pub detail: DetailBuffers,
+    /// Where an object's receivers stand; none of those that stay.
+    pub place: Option<Place>,
     /// Receivers.
     pub receiver_count: usize,
     /// Entries of `lambda`.
@@ -59,6 +62,7 @@ impl Resident {
             lambda: gpu.blank("lambda", lambda_count as u64 * four)?,
             b: gpu.blank("b", clusters.b_len as u64 * four)?,
             detail: DetailBuffers::new(gpu, clusters)?,
+            place: None,
             receiver_count: receivers.len(),
             lambda_count,
             b_count: clusters.b_len,

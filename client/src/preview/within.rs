@@ -169,15 +169,7 @@ impl StreamedBake {
         }
         let mut bake = self.assembled()?;
         bake.tint_light(&self.tints);
-        for beside in objects {
-            match beside {
-                Beside::Meshes(object) => bake.add_object(object)?,
-                Beside::Baked { name, .. } => {
-                    let problem = "has a bake of its own, which is shown by 'kiln preview' beside all light of a bake that is done: leave out --max-bytes and --max-memory, or wait for the bake's end".to_owned();
-                    return Err(ClientError::Argument { what: format!("object '{name}'"), problem });
-                }
-            }
-        }
+        objects.into_iter().try_for_each(|object| bake.put(object))?;
         self.bake = Arc::new(bake);
         Ok(())
     }
@@ -248,7 +240,8 @@ impl StreamedBake {
     fn assembled(&self) -> Result<LoadedBake> {
         let manifest = self.listing.manifest(&self.bake.scene);
         let light = self.stream.light(&self.bake.scene, manifest)?;
-        Ok(LoadedBake::new(Arc::clone(&self.bake.scene), light))
+        let movers = self.bake.movers.clone();
+        Ok(LoadedBake { movers, ..LoadedBake::new(Arc::clone(&self.bake.scene), light) })
     }
 }
 

@@ -14,20 +14,23 @@ use naga::{AddressSpace, Statement, TypeInner};
 
 use crate::kinds::field::{self, LatticeNumbers, TetrahedraNumbers};
 use crate::kinds::sh::relight::{self, RelightNumbers};
-use crate::passes::atlas::{AtlasNumbers, AtlasTexel, Placement};
+use crate::passes::around::{self, MixNumbers, PartOwn, PartShare, ViewpointNumbers};
+use crate::passes::atlas::{AtlasNumbers, AtlasTexel, INDIRECT, Placement};
 use crate::passes::basis::BasisNumbers;
 use crate::passes::change::ChangeNumbers;
-use crate::passes::direct::TexelNumbers;
+use crate::passes::direct::{self, TexelNumbers};
 use crate::passes::fog::{self, FogNumbers};
 use crate::passes::lod::{FillNumbers, TurnNumbers};
 use crate::passes::meter::MeterNumbers;
-use crate::passes::near::NearNumbers;
+use crate::passes::near::{self, NearNumbers};
 use crate::passes::patches::PatchNumbers;
+use crate::passes::place::PlaceNumbers;
 use crate::passes::reconstruct::ReconstructNumbers;
 use crate::passes::resident::ClusterRow;
 use crate::passes::shade::{PanoramaNumbers, ShadeDraw, ShadeView, Shading};
 use crate::passes::shadow::{Face, Light, LightCount, Mask, Pane};
 use crate::passes::show::ShowNumbers;
+use crate::passes::transfer::{self, FeedNumbers, MovedNumbers, MoverLevelRow, MoverNumbers, MoverRow};
 use crate::passes::walk::{self, WalkNumbers, WalkPixels};
 use crate::passes::walked::{self, WalkedNumbers};
 use crate::web;
@@ -42,7 +45,20 @@ fn shaders() -> Vec<(&'static str, String)> {
         ("shade with a lattice alone", with(field::LATTICE_ALONE)),
         ("shade with tetrahedra alone", with(field::TETRAHEDRA_ALONE)),
     ];
+    let all =
+        [INDIRECT, field::IN_LATTICE, field::IN_TETRAHEDRA, field::LATTICE_ALONE, field::TETRAHEDRA_ALONE];
+    let objects = all.map(|snippet| {
+        ("shade with objects", Shading { snippet, bindings: Vec::new() }.shader_with_objects())
+    });
     let others = [
+        ("direct-texels-placed", direct::PLACED_TEXELS_SHADER),
+        ("near-lit-placed", near::PLACED_LIT_SHADER),
+        ("transfer", transfer::TEXELS_SHADER),
+        ("transfer-feed", transfer::FEED_SHADER),
+        ("around-look", around::LOOK_SHADER),
+        ("around-means", around::MEANS_SHADER),
+        ("around-parts", around::PARTS_SHADER),
+        ("around-mix", around::MIX_SHADER),
         ("relight", relight::SHADER),
         ("dering", field::DERING_SHADER),
         ("fog-over", fog::OVER_SHADER),
@@ -53,6 +69,7 @@ fn shaders() -> Vec<(&'static str, String)> {
     let fogs = fogs.map(|radiance| ("fog", [fog::FILL_SHADER, radiance].concat()));
     of_browsers
         .chain(others.map(|(name, source)| (name, source.to_owned())))
+        .chain(objects)
         .chain(fields)
         .chain(fogs)
         .collect()
@@ -204,6 +221,16 @@ macro_rules! twins {
 /// The Rust twin of every struct that a shader reads or writes through a binding, by its name in WGSL.
 fn twins() -> BTreeMap<&'static str, Layout> {
     twins! {
+        "FeedNumbers": FeedNumbers { count, stride }
+        "MixNumbers": MixNumbers { count, stride, viewpoint }
+        "MovedNumbers": MovedNumbers { rows, count, stride, own, pad }
+        "Mover": MoverRow { rows, middle_m, half_side_m, scale, pad0, pad1, pad2, levels }
+        "MoverLevel": MoverLevelRow { stops_m, outer, half_m, inner, nodes, first_part, part_count, first_code, pad }
+        "Movers": MoverNumbers { count, first_light, first_face, first_layer, first_of_light, pad0, pad1, pad2, each }
+        "PartOwn": PartOwn { middle_m, first, emitted, count }
+        "PartShare": PartShare { place, share }
+        "Place": PlaceNumbers { rows }
+        "Viewpoints": ViewpointNumbers { rows, middle_m, count, half_m, open, walks, parts, tangent, part_count, first_light, pad0, pad1, pad2 }
         "BrickRow": BrickRow { cell, level }
         "ElementRow": ElementRow { normal, height_m, bits, patch_number, marks }
         "Pixels": WalkPixels {

@@ -16,7 +16,7 @@ pub struct Incoming<'a> {
     pub sky: Sky,
     /// A panorama on top of it.
     pub panorama: Option<&'a Panorama>,
-    /// Radiance of each part of the sky in their place, W·m⁻²·sr⁻¹, where they are not what is around.
+    /// Irradiance at receivers by slot, W·m⁻², of what is around in place of the sky: [`Transport::under`].
     pub around: Option<&'a [Vec4]>,
     /// Irradiance by slot that objects give and take, W·m⁻²; none without them.
     pub moved: Option<&'a [Vec4]>,
@@ -86,6 +86,18 @@ impl<C: Columns> Transport<C> {
         self.settle_in(parallel, incoming, limit, None)
     }
 
+    /// Irradiance at receivers by slot of radiance of the parts of the sky alone, before any bounce, W·m⁻²; emitters are at full.
+    pub fn under(&self, parallel: &impl Parallel, sky: &[Vec4]) -> Vec<Vec4> {
+        let Self { receivers, clusters, walked, columns, .. } = self;
+        let mut lambda = vec![Vec4::ZERO; columns.lambda_count()];
+        let first = lambda.len() - sky.len();
+        lambda[first..].copy_from_slice(sky);
+        let mut start = vec![Vec4::ZERO; receivers.len()];
+        walked.gather(parallel, &lambda, &mut start);
+        let emit = self.emitter_irradiance(&[]);
+        clusters.reconstruct(parallel, &clusters.basis(parallel, &lambda), &start, Some(&emit))
+    }
+
     /// As [`Transport::settle`], in some detail. E_ind has settled when bounces in which each cluster takes part once change it by
     /// less than the limit together.
     pub fn settle_in(
@@ -96,10 +108,10 @@ impl<C: Columns> Transport<C> {
         detail: Option<(&LodTable, &LodPlan)>,
     ) -> Settled {
         let Self { receivers, clusters, near, walked, columns, .. } = self;
-        let sky = match incoming.around {
-            Some(around) => around.to_vec(),
-            None => columns.skies_lambda(incoming.sky, incoming.panorama),
-        };
+        let mut sky = columns.skies_lambda(incoming.sky, incoming.panorama);
+        if incoming.around.is_some() {
+            sky.fill(Vec4::ZERO);
+        }
         let mut settled = Settled {
             emit: self.emitter_irradiance(incoming.emitter_scale),
             ind: vec![Vec4::ZERO; receivers.len()],
@@ -114,6 +126,9 @@ impl<C: Columns> Transport<C> {
             let lambda = self.lambda(parallel, irradiance, &sky);
             let mut gathered = near.gather(parallel, receivers, incoming.near, irradiance);
             walked.gather(parallel, &lambda, &mut gathered);
+            if let Some(around) = incoming.around {
+                gathered.iter_mut().zip(around).for_each(|(start, around)| *start += *around);
+            }
             let next = match detail {
                 None => {
                     let b = clusters.basis(parallel, &lambda);

@@ -10,6 +10,7 @@
 
 mod chunk;
 mod content;
+mod hidden;
 mod lattice;
 mod surroundings;
 mod table;
@@ -23,10 +24,11 @@ pub use content::{
     GLOWS_MAX, LEVELS, NODES_MAX, NODES_MIN, PARTS_MAX, PATCHES_MAX, PartGlow, PartPatch, TransferLevel,
     TransferPart, node_codes,
 };
+pub use hidden::{HIDDEN_SIDE, HIDDEN_WIDTHS, Hidden, NARROWEST, RIM, hidden_axes, hidden_cosine};
 pub use lattice::{Axis, FADE_H, Lattice, REACH_H};
-pub use surroundings::{Surroundings, WALKS_OF_PART};
+pub use surroundings::{Surroundings, WALKS_OF_PART, directions_of_walks, tangent_of_walks};
 pub use table::{Cap, Covered, PartRadiance, Standing, TransferTable};
-pub use viewpoints::Viewpoints;
+pub use viewpoints::{Viewpoints, viewpoint_bounds, viewpoint_places};
 
 /// Role of the chunks of volumes, the coarsest first.
 pub const TRANSFER: &str = "transfer";

@@ -24,11 +24,25 @@ pub struct Surroundings {
     radiance: Vec<Vec4>,
 }
 
+/// Directions of walks, and the part of the sphere that each is of.
+pub fn directions_of_walks(parts: u32) -> impl Iterator<Item = (Vec3, u32)> {
+    let walks = WALKS_OF_PART * parts;
+    let middles: Vec<Vec3> = (0..parts).map(|part| relight_direction(part, parts)).collect();
+    (0..walks).map(move |walk| {
+        let direction = relight_direction(walk, walks);
+        (direction, nearest_of_sky(&middles, direction))
+    })
+}
+
+/// Tangent of the half angle of walks: each is as wide as its share of the sphere.
+pub fn tangent_of_walks(parts: u32) -> f32 {
+    (4.0 / (WALKS_OF_PART * parts.max(1)) as f32).sqrt().min(1.0)
+}
+
 impl Surroundings {
     /// Radiance along walks from a point in free space; `turn` is that of the object's frame. `None` from a point in geometry.
     pub fn walked(light: &WalkLight<'_>, from_m: Vec3, turn: Mat3, parts: u32) -> Option<Self> {
-        // As wide as its share of the sphere.
-        let tangent = (4.0 / (WALKS_OF_PART * parts.max(1)) as f32).sqrt().min(1.0);
+        let tangent = tangent_of_walks(parts);
         let start = Start::free(from_m);
         let backs = Cell::new(0);
         let found = Self::new(parts, |direction| {
@@ -43,35 +57,16 @@ impl Surroundings {
 
     /// Of the radiance in each direction.
     pub fn new(parts: u32, radiance: impl Fn(Vec3) -> Vec3) -> Self {
-        let walks = WALKS_OF_PART * parts;
-        let directions: Vec<Vec3> = (0..walks).map(|walk| relight_direction(walk, walks)).collect();
+        let (directions, of_parts): (Vec<Vec3>, Vec<u32>) = directions_of_walks(parts).unzip();
         let seen: Vec<Vec3> = directions.iter().map(|direction| radiance(*direction)).collect();
-        let middles: Vec<Vec3> = (0..parts).map(|part| relight_direction(part, parts)).collect();
         let mut sums = vec![Vec4::ZERO; parts as usize];
-        for (direction, seen) in directions.iter().zip(&seen) {
-            if let Some(sum) = sums.get_mut(nearest_of_sky(&middles, *direction) as usize) {
+        for (part, seen) in of_parts.iter().zip(&seen) {
+            if let Some(sum) = sums.get_mut(*part as usize) {
                 *sum += seen.extend(1.0);
             }
         }
         let mean = |sum: &Vec4| (sum.truncate() / sum.w.max(1.0)).extend(0.0);
         Self { directions, seen, radiance: sums.iter().map(mean).collect() }
-    }
-
-    /// Weighted mean of some with as many parts.
-    pub fn mixed<'a>(of: impl Iterator<Item = (&'a Self, f32)>) -> Self {
-        let mut mixed = Self::default();
-        for (own, weight) in of {
-            if mixed.directions.is_empty() {
-                mixed = Self {
-                    seen: vec![Vec3::ZERO; own.seen.len()],
-                    radiance: vec![Vec4::ZERO; own.radiance.len()],
-                    directions: own.directions.clone(),
-                };
-            }
-            mixed.seen.iter_mut().zip(&own.seen).for_each(|(sum, seen)| *sum += weight * *seen);
-            mixed.radiance.iter_mut().zip(&own.radiance).for_each(|(sum, part)| *sum += weight * *part);
-        }
-        mixed
     }
 
     /// Radiance by part.

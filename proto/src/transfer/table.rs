@@ -6,15 +6,10 @@ use std::sync::Arc;
 use glam::{Affine3A, Mat3, Vec3, Vec4};
 
 use super::content::{LEVELS, TransferLevel, TransferPart};
+use super::hidden::Hidden;
 use super::lattice::{BLEND_FROM, FADE_H, Lattice, REACH_H, half_side_m};
-use super::surroundings::Surroundings;
 use super::viewpoints::Viewpoints;
 use crate::relight::{Inconsistent, PatchTable};
-
-/// Least half angle of a part's cap, in radians.
-const CAP_MIN_RAD: f32 = 0.2;
-/// Half width of a cap's rim, in cosine.
-const RIM: f32 = 0.06;
 
 /// Patches of a part by number, with their shares.
 type Shares = Vec<(u32, f32)>;
@@ -53,8 +48,8 @@ pub struct Standing<'a> {
     turn_back: Mat3,
     /// Mean radiance of each part, by level, W·m⁻²·sr⁻¹.
     radiance: Arc<PartRadiance>,
-    /// Surroundings that each part hides, by level.
-    hidden: Arc<Vec<Vec<Surroundings>>>,
+    /// Radiance that each part hides, by level.
+    hidden: Arc<Vec<Vec<Hidden>>>,
 }
 
 impl TransferTable {
@@ -93,6 +88,16 @@ impl TransferTable {
         Ok(table)
     }
 
+    /// Levels with their nodes, the finest first.
+    pub fn levels(&self) -> impl Iterator<Item = &(TransferLevel, Lattice)> {
+        self.levels.iter()
+    }
+
+    /// Numbers of the patches of each part with their shares, by level.
+    pub fn patches(&self) -> &[Vec<Vec<(u32, f32)>>] {
+        &self.patches
+    }
+
     /// Middle of the object in its own space, in metres.
     pub fn middle_m(&self) -> Vec3 {
         self.middle_m
@@ -126,22 +131,12 @@ impl TransferTable {
         self.levels.iter().zip(&self.patches).map(of_level).collect()
     }
 
-    /// Surroundings that each part hides, by level.
-    pub fn hidden(&self, viewpoints: &Viewpoints) -> Vec<Vec<Surroundings>> {
-        let of_part = |part: &TransferPart| viewpoints.at(part.middle_m.into());
+    /// Radiance that each part may hide, by level: of the surroundings as its mean place sees them.
+    pub fn hidden(&self, viewpoints: &Viewpoints) -> Vec<Vec<Hidden>> {
+        let seen: Vec<Hidden> = viewpoints.seen().map(Hidden::of).collect();
+        let of_part =
+            |part: &TransferPart| Hidden::mixed(seen.iter().zip(viewpoints.weights(part.middle_m.into())));
         self.levels.iter().map(|(level, _)| level.parts.iter().map(of_part).collect()).collect()
-    }
-
-    /// Radiance of each part by level, of that in the surroundings of each viewpoint that sees something.
-    pub fn mixed(&self, viewpoints: &Viewpoints, by_viewpoint: &[PartRadiance]) -> PartRadiance {
-        let of_level = |(number, (level, _)): (usize, &(TransferLevel, Lattice))| {
-            let of_part = |(at, part): (usize, &TransferPart)| {
-                let weights = viewpoints.weights(part.middle_m.into());
-                by_viewpoint.iter().zip(weights).map(|(own, weight)| weight * own[number][at]).sum()
-            };
-            level.parts.iter().enumerate().map(of_part).collect()
-        };
-        self.levels.iter().enumerate().map(of_level).collect()
     }
 
     /// Weight of the object's effect on a point in its frame: 1 near it, 0 from [`REACH_H`] on.
@@ -200,12 +195,12 @@ impl TransferTable {
 }
 
 impl<'a> Standing<'a> {
-    /// An object at a place, of uniform scale, whose parts have such radiance and hide such surroundings.
+    /// An object at a place, of uniform scale, whose parts have such radiance and hide such.
     pub fn new(
         table: &'a TransferTable,
         world_from_object: Affine3A,
         radiance: Arc<PartRadiance>,
-        hidden: Arc<Vec<Vec<Surroundings>>>,
+        hidden: Arc<Vec<Vec<Hidden>>>,
     ) -> Self {
         let object_from_world = world_from_object.inverse();
         let turn = Mat3::from(object_from_world.matrix3);
@@ -247,8 +242,7 @@ impl<'a> Standing<'a> {
         self.table.covered(at_m, |Covered { level, part, vector, solid_angle }, weight| {
             let received = normal.dot(vector);
             if received > 0.0 {
-                let hidden =
-                    self.hidden[level][part].mean(vector.normalize_or_zero(), cap_cosine(solid_angle), RIM);
+                let hidden = self.hidden[level][part].mean(vector.normalize_or_zero(), solid_angle);
                 sum += weight * received * (self.radiance[level][part] - hidden);
             }
         });
@@ -281,9 +275,4 @@ impl Cap {
         let t = ((touching - apart) / (touching - within).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
         share * t * t * (3.0 - 2.0 * t)
     }
-}
-
-/// Cosine of the half angle of a cap of that solid angle.
-fn cap_cosine(solid_angle: f32) -> f32 {
-    (1.0 - solid_angle / TAU).clamp(-1.0, libm::cosf(CAP_MIN_RAD))
 }

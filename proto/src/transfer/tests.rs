@@ -140,11 +140,11 @@ fn ball_gives_its_form_factor_and_takes_what_it_hides() {
         Vec3::new(3.0, 1.0, 0.0),
     );
     let radiance = |light: f32| Arc::new(table.radiance(&[] as &[Vec4], &[Vec3::splat(light)]));
-    let standing = |light, around: &Surroundings| {
-        let hidden =
-            Arc::new(table.hidden(&Viewpoints::new([[0.0; 3], [1.0; 3]], false, |_| Some(around.clone()))));
-        Standing::new(&table, place, radiance(light), hidden)
-    };
+    let [black, white] = [black, white].map(|around| {
+        Arc::new(table.hidden(&Viewpoints::new([[0.0; 3], [1.0; 3]], false, |_| Some(around.clone()))))
+    });
+    let standing =
+        |light, hidden: &Arc<Vec<Vec<Hidden>>>| Standing::new(&table, place, radiance(light), hidden.clone());
     let (mut worst, mut points) = (0.0_f32, 0);
     for step in 0..512_u32 {
         let direction = crate::harmonics::relight_direction(step, 512);
@@ -200,6 +200,17 @@ fn cap_has_the_mean_of_the_directions_within() {
         );
     }
     let turned = Surroundings::new(64, |direction| Mat3::from_rotation_y(1.0) * direction);
+    // Interpolated from nodes and widths it is nearly that.
+    let hidden = Hidden::of(&turned);
+    let (mut sum, mut worst) = (0.0, 0.0_f32);
+    for (step, axis) in (0..512).map(|step| (step, crate::harmonics::relight_direction(step, 512))) {
+        let solid_angle = 0.1 * 1.008_f32.powi(step as i32);
+        let cosine = (1.0 - solid_angle / std::f32::consts::TAU).min(libm::cosf(0.2));
+        let off = hidden.mean(axis, solid_angle).distance(turned.mean(axis, cosine, 0.06));
+        (sum, worst) = (sum + off, worst.max(off));
+    }
+    assert!(sum / 512.0 < 0.025 && worst < 0.05, "mean {} worst {worst}", sum / 512.0);
+    assert_eq!(Hidden::default().mean(Vec3::X, 1.0), Vec3::ZERO);
     assert_eq!(turned.radiance().len(), 64);
 }
 
@@ -278,15 +289,14 @@ fn viewpoints_in_geometry_count_no_more() {
     for at_m in [Vec3::ZERO, Vec3::new(0.9, 0.0, 0.2), Vec3::new(-3.0, -1.0, 0.0)] {
         let weights = viewpoints.weights(at_m);
         assert!(weights.len() == 4 && (weights.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{weights:?}");
-        let seen = viewpoints.at(at_m).mean(Vec3::X, 0.0, 0.06);
+        let seen = viewpoints.seen().map(Hidden::of).collect::<Vec<_>>();
+        let seen = Hidden::mixed(seen.iter().zip(weights)).mean(Vec3::X, 3.0);
         let wanted = at_m.clamp(Vec3::new(-0.9, 0.05, -0.45), Vec3::new(0.9, 0.05, 0.45));
         let off = if at_m.y < 0.0 { 0.2 } else { 1e-4 };
         assert!(seen.distance(wanted) < off, "{seen} {wanted}");
     }
     let none = Viewpoints::new(rug, true, |_| None);
-    assert!(
-        none.weights(Vec3::ZERO).is_empty() && none.at(Vec3::ZERO).mean(Vec3::X, 0.0, 0.06) == Vec3::ZERO
-    );
+    assert!(none.weights(Vec3::ZERO).is_empty() && none.seen().next().is_none());
 }
 
 /// Nodes that no point of a level reads do not coarsen its steps; all that are read come back within half a step.

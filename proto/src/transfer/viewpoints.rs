@@ -22,6 +22,21 @@ pub struct Viewpoints {
     seen: Vec<Option<Surroundings>>,
 }
 
+/// Middle of an object's viewpoints, and the way from there to a corner.
+pub fn viewpoint_bounds(box_m: [[f32; 3]; 2]) -> [Vec3; 2] {
+    let [low, high] = box_m.map(Vec3::from);
+    let least_m = 0.5 * FLAT * (high - low).max_element();
+    [0.5 * (low + high), (0.5 * WITHIN * (high - low)).max(Vec3::splat(least_m))]
+}
+
+/// Viewpoints of an object of such bounds in its own space: the middle, or corners.
+pub fn viewpoint_places(box_m: [[f32; 3]; 2], are_corners_seen: bool) -> Vec<Vec3> {
+    let [middle_m, half_m] = viewpoint_bounds(box_m);
+    let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
+    let at = |corner: u32| middle_m + half_m * Vec3::new(sign(corner, 0), sign(corner, 1), sign(corner, 2));
+    if are_corners_seen { (0..8).map(at).collect() } else { vec![middle_m] }
+}
+
 impl Viewpoints {
     /// Of an object of such bounds in its own space; `look` gives what is seen from a point of it, reached from its middle.
     pub fn new(
@@ -29,17 +44,9 @@ impl Viewpoints {
         are_corners_seen: bool,
         look: impl Fn(Vec3) -> Option<Surroundings>,
     ) -> Self {
-        let [low, high] = box_m.map(Vec3::from);
-        let middle_m = 0.5 * (low + high);
-        let least_m = 0.5 * FLAT * (high - low).max_element();
-        let half_m = (0.5 * WITHIN * (high - low)).max(Vec3::splat(least_m));
-        let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
-        let at =
-            |corner: u32| middle_m + half_m * Vec3::new(sign(corner, 0), sign(corner, 1), sign(corner, 2));
-        let seen = match are_corners_seen {
-            true => (0..8).map(|corner| look(at(corner))).collect(),
-            false => vec![look(middle_m)],
-        };
+        let [middle_m, half_m] = viewpoint_bounds(box_m);
+        let places = viewpoint_places(box_m, are_corners_seen);
+        let seen = places.into_iter().map(look).collect();
         Self { middle_m, half_m, seen }
     }
 
@@ -68,10 +75,5 @@ impl Viewpoints {
         let exact = weights_of(0.0);
         // Beside corners that see nothing, the nearest others count.
         if exact.is_empty() { weights_of(ASIDE) } else { exact }
-    }
-
-    /// Surroundings as a place of the object sees them.
-    pub fn at(&self, at_m: Vec3) -> Surroundings {
-        Surroundings::mixed(self.seen().zip(self.weights(at_m)))
     }
 }

@@ -6,10 +6,14 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3, Vec4};
 use lightkiln_client::bake::{Beside, LoadedBake};
 use lightkiln_client::fetch::Source;
+use lightkiln_client::frame::{Frame, FrameRoom};
 use lightkiln_client::kinds;
-use lightkiln_client::lights::{parse_camera, parse_lights};
+use lightkiln_client::lights::{Caster, parse_camera, parse_lights};
+use lightkiln_client::passes::gpu::Gpu;
+use lightkiln_client::passes::shadow::ShadowRoom;
 use lightkiln_client::preview::{Backend, View, light_receivers_among, render};
 use lightkiln_client::scene::Stance;
+use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::SceneCamera;
 use lightkiln_proto::transfer::{TRANSFER, decode_transfer};
 use lightkiln_tests::harness::{Recipe, bake};
@@ -44,8 +48,12 @@ fn at(x: f32, y: f32, z: f32) -> Stance {
 
 /// Indirect light at receivers under a light in words, emitters at full.
 fn indirect(bake: &LoadedBake, lights: &[&str], stances: &[Stance]) -> Vec<Vec4> {
+    indirect_by(Backend::Cpu, bake, lights, stances)
+}
+
+fn indirect_by(backend: Backend, bake: &LoadedBake, lights: &[&str], stances: &[Stance]) -> Vec<Vec4> {
     let lights = parse_lights(lights).unwrap().lights;
-    let lit = light_receivers_among(bake, lights, None, Vec::new(), stances, Backend::Cpu).unwrap();
+    let lit = light_receivers_among(bake, lights, None, Vec::new(), stances, backend).unwrap();
     let light = lit.settled.light;
     light.indirect.iter().zip(&light.emit).map(|(ind, emit)| *ind + *emit).collect()
 }
@@ -289,6 +297,87 @@ fn pixels_and_receivers_see_the_same_effect_and_the_object_is_lit() {
     );
     assert!(count > 10 && by_receivers > 0.05 * before, "{count} {by_receivers} {before}");
     assert!((0.9..1.1).contains(&ratio), "{ratio}");
+}
+
+/// Both draw objects that are lit by the room and by each other, one of them so long that it is lit from eight places; what objects a few
+/// centimetres away change is told apart.
+#[test]
+fn adapter_lights_objects_as_the_processor_does() {
+    let object = |name: &str| Arc::new(fresh(mover(name).unwrap(), &object_recipe()));
+    let objects = [object("box"), object("ball")];
+    for kind in ["prt", "grid"] {
+        let recipe = with_texels(kind, 0.25, 64).with("voxels", "on");
+        let bake = with(fresh(cornell_of_one_box(), &recipe), &objects);
+        let light = ["point pos=0.3,3.4,0.5 power=60", "sky horizon=2,2,2 zenith=1,1,2"];
+        let turned = Stance { turn_deg: [35.0, 0.0, 10.0], ..at(0.9, 0.2, -1.4) };
+        let stances = [turned, Stance { scale: 0.35, ..at(-0.2, 0.0, 0.4) }];
+        let aside = [Stance { position_m: [0.95, 0.2, -1.4], ..turned }, stances[1]];
+        let [adapter, processor] =
+            [Backend::Gpu, Backend::Cpu].map(|backend| indirect_by(backend, &bake, &light, &stances));
+        let other = apart(&indirect(&bake, &light, &aside), &processor);
+        let far = indirect(&bake, &light, &[at(60.0, 0.0, 0.0), at(80.0, 0.0, 0.0)]);
+        let (far, same) = (apart(&far, &processor), apart(&adapter, &processor));
+        println!("{kind}, receivers: apart {same:.5}, without objects {far:.4}, 5 cm aside {other:.4}");
+        assert!(same < 2e-3 && other > 5e-3 && far > 0.05, "{same} {other} {far}");
+        let camera = parse_camera("eye=0,3,6 target=0.2,1,-1 fov=50").unwrap();
+        let lights = parse_lights(&light).unwrap().lights;
+        let (mut view, _) = View::of_bake(&bake, Some(camera), Some(lights)).unwrap();
+        (view.width, view.height, view.samples) = (240, 180, 1);
+        let mut picture = |backend: Backend, stances: [Stance; 2]| {
+            view.objects = stances.to_vec();
+            let linear = render(&bake, &view, backend).unwrap().linear;
+            linear.iter().map(|rgb| Vec3::from(*rgb).extend(0.0)).collect::<Vec<Vec4>>()
+        };
+        let [adapter, processor] = [Backend::Gpu, Backend::Cpu].map(|backend| picture(backend, stances));
+        let other = picture(Backend::Cpu, aside);
+        let mean = processor.iter().map(|rgb| rgb.element_sum()).sum::<f32>() / processor.len() as f32;
+        let off = |picture: &[Vec4]| {
+            let is_off = |(one, other): &(&Vec4, &Vec4)| (**one - **other).abs().element_sum() > 0.02 * mean;
+            picture.iter().zip(&processor).filter(is_off).count() as f64 / processor.len() as f64
+        };
+        println!("{kind}, pixels: {:.5} off, 5 cm aside {:.4}", off(&adapter), off(&other));
+        assert!(off(&adapter) < 2e-3 && off(&other) > 0.01, "{} {}", off(&adapter), off(&other));
+    }
+}
+
+/// A frame that stays draws an object that moved as a new one does, has settled when the object has, and is black at once when lights go out.
+#[test]
+fn frame_goes_on_with_an_object_that_moves_and_is_black_without_light() {
+    let object = Arc::new(fresh(mover("box").unwrap(), &object_recipe()));
+    let bake = with(fresh(cornell_of_one_box(), &scene_recipe(0.25)), &[object]);
+    let gpu = Gpu::open().unwrap();
+    let lights = parse_lights(&["point pos=0.3,3.4,0.5 power=60"]).unwrap().lights;
+    let camera = parse_camera("eye=0,3,6 target=0.2,1,-1 fov=50").unwrap();
+    let shadows = ShadowRoom::for_lights(&Caster::of(&lights), 512).unwrap();
+    let room = FrameRoom { size: [120, 90], shadows };
+    let limit = Limit { change_max: 1e-4, ..Limit::default() };
+    let [away, near] = [at(40.0, 0.0, 0.0), at(0.9, 0.0, -1.4)];
+    let drawn = |stances: &[Stance]| {
+        let mut frame = Frame::new(&gpu, &bake, room, camera.clone()).unwrap();
+        frame.set_emitters(&[0.0]).unwrap();
+        frame.set_lights(&lights).unwrap();
+        for stance in stances {
+            frame.set_objects(std::slice::from_ref(stance)).unwrap();
+            let (bounces, converged) = frame.settle(limit).unwrap();
+            assert!(converged && bounces > 3, "{bounces}");
+            // Whoever reads light at receivers takes nothing from the next picture.
+            frame.read_receivers().unwrap().unwrap();
+            frame.draw([0.0; 2]).unwrap();
+        }
+        let picture = frame.read().unwrap();
+        (frame, picture)
+    };
+    let (mut frame, moved) = drawn(&[away, near]);
+    let (_, anew) = drawn(&[near]);
+    let (_, elsewhere) = drawn(&[away]);
+    println!("moved {:.5}, elsewhere {:.3}", apart(&moved, &anew), apart(&elsewhere, &anew));
+    assert!(apart(&moved, &anew) < 1e-3, "{}", apart(&moved, &anew));
+    assert!(apart(&elsewhere, &anew) > 0.1, "{}", apart(&elsewhere, &anew));
+    frame.set_lights(&[]).unwrap();
+    let (bounces, converged) = frame.settle(limit).unwrap();
+    assert!(converged && bounces < 4, "{bounces}");
+    let light = frame.read_receivers().unwrap().unwrap();
+    assert!(light.indirect.iter().all(|light| *light == Vec4::ZERO), "light that nothing sends");
 }
 
 /// A closed ball of two sides is as one of one: its inner side, which nothing sees, takes no part.

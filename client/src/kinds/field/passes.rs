@@ -17,6 +17,7 @@ use crate::passes::lod::DetailBuffers;
 use crate::passes::reconstruct::{ReconstructPass, RowArrays};
 use crate::passes::shadow::ShadowPass;
 use crate::passes::stopwatch::Recorder;
+use crate::passes::transfer::MovedBuffers;
 use crate::scene::LoadedScene;
 
 /// Shading: the lightmap's, and that of a field on a lattice for surfaces without one.
@@ -206,6 +207,14 @@ impl LightPasses for FieldPasses {
 
     fn bounce(&self, encoder: &mut Recorder<'_>) {
         self.lightmap.bounce(encoder);
+    }
+
+    fn make_moved(&mut self, gpu: &Gpu) -> Result<()> {
+        self.lightmap.make_moved(gpu)
+    }
+
+    fn moved(&self) -> Option<MovedBuffers<'_>> {
+        self.lightmap.moved()
     }
 
     fn make_lod(&mut self, gpu: &Gpu, table: &LodTable) -> Result<()> {

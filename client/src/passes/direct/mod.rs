@@ -6,7 +6,7 @@ pub mod reference;
 mod texels;
 
 pub use points::TexelPoints;
-pub use texels::{TEXELS_SHADER, TexelNumbers, TexelsPass};
+pub use texels::{PLACED_TEXELS_SHADER, TEXELS_SHADER, TexelNumbers, TexelsPass};
 
 /// Largest difference from the reference on the same shadow maps, relative to the largest value, for all but
 /// [`OUTLIERS`]: positions are projected in f32, and the filter's weights follow the projected position.

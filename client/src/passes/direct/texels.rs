@@ -15,6 +15,17 @@ pub const TEXELS_SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
     include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
+    include_str!("../shared/whole_maps.wgsl"),
+    include_str!("../shared/unplaced.wgsl"),
+    include_str!("texels.wgsl")
+);
+/// The shader for an object's receivers.
+pub const PLACED_TEXELS_SHADER: &str = concat!(
+    include_str!("../shared/light.wgsl"),
+    include_str!("../shared/rect.wgsl"),
+    include_str!("../shared/shadow_map.wgsl"),
+    include_str!("../shared/whole_maps.wgsl"),
+    include_str!("../shared/placed.wgsl"),
     include_str!("texels.wgsl")
 );
 /// Threads of a workgroup in the shader.
@@ -39,6 +50,8 @@ pub struct TexelNumbers {
 pub struct TexelsPass {
     pipeline: wgpu::ComputePipeline,
     pages: Vec<Page>,
+    /// Of an object's receivers.
+    place: Option<wgpu::BindGroup>,
 }
 
 /// Receivers whose points fit into one binding.
@@ -54,9 +67,15 @@ impl TexelsPass {
         let read = storage_read;
         let kinds = [uniform(false), read(), read(), storage_write(), read(), read()];
         let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE, kind)));
-        let pipeline_layout = gpu.pipeline_layout(&[&shadow.light_layout, &layout]);
+        let (pipeline_layout, shader) = match &resident.place {
+            None => (gpu.pipeline_layout(&[&shadow.light_layout, &layout]), TEXELS_SHADER),
+            Some(place) => {
+                let groups = [&shadow.light_layout, &layout, &place.layout];
+                (gpu.pipeline_layout(&groups), PLACED_TEXELS_SHADER)
+            }
+        };
         let pipeline =
-            gpu.compute_with(("direct texels", TEXELS_SHADER, "direct_texels"), Some(&pipeline_layout), &[]);
+            gpu.compute_with(("direct texels", shader, "direct_texels"), Some(&pipeline_layout), &[]);
         let page = |run: Range<usize>| {
             let [start, end] = [run.start, run.end].map(|slot| points.starts[slot]);
             let starts: Vec<u32> = points.starts[run.start..=run.end].iter().map(|at| at - start).collect();
@@ -86,13 +105,17 @@ impl TexelsPass {
         // A receiver without points takes room in the table of starts alone.
         let bytes = bytes.map(|bytes| bytes.max(2 * size_of::<u32>() as u64));
         let pages = pages(gpu, "receiver's points", bytes)?.into_iter().map(page).collect::<Result<_>>()?;
-        Ok(Self { pipeline, pages })
+        let place = resident.place.as_ref().map(|place| place.group.clone());
+        Ok(Self { pipeline, pages, place })
     }
 
     /// Records the pass.
     pub fn record(&self, pass: &mut wgpu::ComputePass<'_>, shadow: &ShadowPass) {
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &shadow.light_group, &[]);
+        if let Some(place) = &self.place {
+            pass.set_bind_group(2, place, &[]);
+        }
         for page in &self.pages {
             pass.set_bind_group(1, &page.group, &[]);
             pass.dispatch_workgroups(page.groups[0], page.groups[1], 1);

@@ -70,6 +70,7 @@ fn direct_texels(@builtin(global_invocation_id) id: vec3u) {
             if !is_own {
                 point = texel_point(i, own);
             }
+            point = TexelPoint(placed(point.position), turned(point.normal));
             let found = light_irradiance(light, point.position, point.normal, point.normal);
             of_light += found.rgb;
             least = min(least, found.w);

@@ -26,6 +26,7 @@ pub const FILL_SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
     include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
+    include_str!("../shared/whole_maps.wgsl"),
     include_str!("numbers.wgsl"),
     include_str!("fog.wgsl")
 );

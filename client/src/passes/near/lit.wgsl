@@ -26,8 +26,8 @@ fn light_hits(@builtin(global_invocation_id) thread: vec3u) {
         } else {
             surface = OwnSurface(normals[hit.light], albedo[hit.light]);
         }
-        let normal = surface.normal.xyz;
-        sum += surface.albedo.rgb * (1.0 / PI) * direct_irradiance(hit.position_m, normal, normal);
+        let normal = turned(surface.normal.xyz);
+        sum += surface.albedo.rgb * (1.0 / PI) * direct_irradiance(placed(hit.position_m), normal, normal);
     }
     lit[index] = vec4f(sum, 0.0);
 }

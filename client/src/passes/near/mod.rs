@@ -20,6 +20,18 @@ pub const LIT_SHADER: &str = concat!(
     include_str!("../shared/light.wgsl"),
     include_str!("../shared/rect.wgsl"),
     include_str!("../shared/shadow_map.wgsl"),
+    include_str!("../shared/whole_maps.wgsl"),
+    include_str!("../shared/unplaced.wgsl"),
+    include_str!("hits.wgsl"),
+    include_str!("lit.wgsl")
+);
+/// That shader for an object's receivers.
+pub const PLACED_LIT_SHADER: &str = concat!(
+    include_str!("../shared/light.wgsl"),
+    include_str!("../shared/rect.wgsl"),
+    include_str!("../shared/shadow_map.wgsl"),
+    include_str!("../shared/whole_maps.wgsl"),
+    include_str!("../shared/placed.wgsl"),
     include_str!("hits.wgsl"),
     include_str!("lit.wgsl")
 );
@@ -45,6 +57,8 @@ pub struct NearPass {
     light: wgpu::ComputePipeline,
     gather: wgpu::ComputePipeline,
     pages: Vec<Page>,
+    /// Of an object's receivers.
+    place: Option<wgpu::BindGroup>,
 }
 
 /// Receivers whose hits fit into one binding.
@@ -65,9 +79,15 @@ impl NearPass {
         let read = storage_read;
         let kinds = [uniform(false), read(), read(), read(), read(), read(), storage_write()];
         let layout = gpu.bind_layout(&kinds.map(|kind| (Stages::COMPUTE, kind)));
-        let pipeline_layout = gpu.pipeline_layout(&[&shadow.light_layout, &layout]);
+        let (pipeline_layout, shader) = match &resident.place {
+            None => (gpu.pipeline_layout(&[&shadow.light_layout, &layout]), LIT_SHADER),
+            Some(place) => {
+                let groups = [&shadow.light_layout, &layout, &place.layout];
+                (gpu.pipeline_layout(&groups), PLACED_LIT_SHADER)
+            }
+        };
         let light =
-            gpu.compute_with(("light of near hits", LIT_SHADER, "light_hits"), Some(&pipeline_layout), &[]);
+            gpu.compute_with(("light of near hits", shader, "light_hits"), Some(&pipeline_layout), &[]);
         let gather = gpu.compute("near hits", SHADER, "gather");
         let own = gpu.storage("surfaces of near hits", &table.own)?;
         let page = |run: Range<usize>| {
@@ -101,13 +121,17 @@ impl NearPass {
         let bytes = table.rows.iter().map(|row| u64::from(row.count) * size_of::<NearHit>() as u64);
         let pages =
             pages(gpu, "receiver's near hits", bytes)?.into_iter().map(page).collect::<Result<_>>()?;
-        Ok(Self { light, gather, pages })
+        let place = resident.place.as_ref().map(|place| place.group.clone());
+        Ok(Self { light, gather, pages, place })
     }
 
     /// Records what comes straight from lights.
     pub fn light(&self, pass: &mut wgpu::ComputePass<'_>, shadow: &ShadowPass) {
         pass.set_pipeline(&self.light);
         pass.set_bind_group(0, &shadow.light_group, &[]);
+        if let Some(place) = &self.place {
+            pass.set_bind_group(2, place, &[]);
+        }
         for page in &self.pages {
             pass.set_bind_group(1, &page.light, &[]);
             pass.dispatch_workgroups(page.groups[0], page.groups[1], 1);

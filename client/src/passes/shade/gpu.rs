@@ -7,6 +7,7 @@ use lightkiln_proto::manifest::Material;
 use wgpu::ShaderStages as Stages;
 
 use super::looks::{MATERIAL_TEXTURES, details_of, looks, textures_of};
+use super::objects::{ObjectShading, ShadedObjects};
 use super::panes::{Panes, runs};
 use super::panorama::PanoramaPass;
 use super::pipelines::{Program, blending, pipeline, sky_pipeline};
@@ -50,6 +51,8 @@ pub struct ShadePass {
     materials: Vec<wgpu::BindGroup>,
     is_double_sided: Vec<bool>,
     is_glass: Vec<bool>,
+    /// With bakes of their own.
+    objects: Option<ShadedObjects>,
     target: wgpu::Texture,
     target_view: wgpu::TextureView,
     depth: wgpu::TextureView,
@@ -63,24 +66,28 @@ impl ShadePass {
         meshes: &Meshes,
         shadow: &ShadowPass,
         (shading, resources): (&Shading, &[wgpu::BindingResource<'_>]),
+        objects: Option<&ObjectShading<'_>>,
         size: [u32; 2],
     ) -> Result<Self> {
         check_size(gpu, size)?;
         let mut kinds = vec![(Stages::VERTEX_FRAGMENT, uniform(false))];
         kinds.extend(shading.bindings.iter().map(|kind| (Stages::FRAGMENT, *kind)));
         let view_layout = gpu.bind_layout(&kinds);
-        let draw_layout = gpu.bind_layout(&draw_kinds());
+        let draw_layout = gpu.bind_layout(&draw_kinds(objects.is_some()));
         let material_layout = gpu.bind_layout(&[sampled(); MATERIAL_TEXTURES].concat());
         let layout =
             gpu.pipeline_layout(&[&shadow.light_layout, &view_layout, &draw_layout, &material_layout]);
-        let module = gpu.module("shade", &shading.shader());
+        let source = if objects.is_some() { shading.shader_with_objects() } else { shading.shader() };
+        let module = gpu.module("shade", &source);
         let constants = details_of(&scene.manifest.materials);
         let shade = Program { module: &module, vertex: "corner", fragment: "shade", constants: &constants };
         let view = gpu.buffer("view", size_of::<ShadeView>() as u64, wgpu::BufferUsages::UNIFORM);
         let view_group = gpu.bind(&view_layout, &[&[view.as_entire_binding()], resources].concat());
         let (looks, draw_stride) = gpu.uniforms("draws", &looks(scene, &Tints::default(), &[]));
         let unwalked = (walked_texture(gpu, [1, 1], 1)?, StartTextures::new(gpu, [1, 1])?);
-        let draws = [(); 2].map(|()| bind_draws(gpu, &draw_layout, &looks, (&unwalked.0, &unwalked.1)));
+        let tables = objects.map(|objects| objects.table.buffers());
+        let draws = [(); 2]
+            .map(|()| bind_draws(gpu, &draw_layout, &looks, (&unwalked.0, &unwalked.1), tables.as_ref()));
         let bind_material = |material: &Material| {
             gpu.bind(&material_layout, &textures_of(material).map(|used| meshes.texture(used)).concat())
         };
@@ -88,9 +95,17 @@ impl ShadePass {
         let sides = [Some(wgpu::Face::Back), None];
         let glass = if panes.is_empty() { None } else { Some(blending(gpu)?) };
         let (target, depth) = create_targets(gpu, size)?;
+        let opaque = sides.map(|cull| pipeline(gpu, &layout, shade, cull, None));
+        let glass = glass.map(|blend| sides.map(|cull| pipeline(gpu, &layout, shade, cull, Some(blend))));
+        let layouts = [&shadow.light_layout, &view_layout, &draw_layout, &material_layout];
+        let objects = objects.map(|objects| {
+            let around = (shading, resources);
+            ShadedObjects::new(gpu, objects, around, (&opaque, &glass), layouts, (&view, &constants))
+        });
         Ok(Self {
-            opaque: sides.map(|cull| pipeline(gpu, &layout, shade, cull, None)),
-            glass: glass.map(|blend| sides.map(|cull| pipeline(gpu, &layout, shade, cull, Some(blend)))),
+            opaque,
+            glass,
+            objects,
             pane_corners: gpu.buffer(
                 "corners of glass",
                 (panes.len() * size_of::<[u32; 3]>()) as u64,
@@ -190,7 +205,8 @@ impl ShadePass {
             (Some(walked), Some((_, starts))) => (walked, starts),
             _ => (&self.unwalked.0, &self.unwalked.1),
         };
-        self.draws[0] = bind_draws(gpu, &self.draw_layout, &self.looks, found);
+        let tables = self.objects.as_ref().map(|objects| &objects.tables);
+        self.draws[0] = bind_draws(gpu, &self.draw_layout, &self.looks, found, tables);
         if walked.is_none() {
             self.starts = None;
         }
@@ -217,20 +233,21 @@ impl ShadePass {
             });
             pass.set_bind_group(0, &shadow.light_group, &[]);
             pass.set_bind_group(1, &self.view_group, &[]);
-            self.draw_opaque(&mut pass, meshes, sides, &self.draws[1]);
+            self.draw_opaque(&mut pass, meshes, &self.draws[1], |_| (sides, &self.view_group));
         });
     }
 
-    fn draw_opaque(
-        &self,
+    /// Draws all but glass; `by` gives the pipelines of a draw and what its light is read from.
+    fn draw_opaque<'s>(
+        &'s self,
         pass: &mut wgpu::RenderPass<'_>,
         meshes: &Meshes,
-        sides: &[wgpu::RenderPipeline; 2],
         draws: &wgpu::BindGroup,
+        by: impl Fn(u32) -> (&'s [wgpu::RenderPipeline; 2], &'s wgpu::BindGroup),
     ) {
         for (mesh, index) in meshes.meshes.iter().zip(0..) {
             if !self.is_glass[mesh.material] {
-                self.bind_draw(pass, sides, draws, (mesh.material, index));
+                self.bind_draw(pass, by(index), draws, (mesh.material, index));
                 meshes.draw(pass, mesh);
             }
         }
@@ -239,11 +256,12 @@ impl ShadePass {
     fn bind_draw(
         &self,
         pass: &mut wgpu::RenderPass<'_>,
-        sides: &[wgpu::RenderPipeline; 2],
+        (sides, light): (&[wgpu::RenderPipeline; 2], &wgpu::BindGroup),
         draws: &wgpu::BindGroup,
         (material, index): (usize, u32),
     ) {
         pass.set_pipeline(&sides[usize::from(self.is_double_sided[material])]);
+        pass.set_bind_group(1, light, &[]);
         pass.set_bind_group(2, draws, &[index * self.draw_stride]);
         pass.set_bind_group(3, &self.materials[material], &[]);
     }
@@ -323,12 +341,17 @@ impl ShadePass {
             pass.set_pipeline(&self.sky);
             pass.draw(0..3, 0..1);
         }
-        self.draw_opaque(&mut pass, meshes, &self.opaque, &self.draws[0]);
+        let object = |index: u32| self.objects.as_ref().and_then(|objects| objects.of(index));
+        self.draw_opaque(&mut pass, meshes, &self.draws[0], |index| {
+            object(index).map_or((&self.opaque, &self.view_group), |(_, opaque, light)| (opaque, light))
+        });
         let Some(glass) = &self.glass else { return };
         pass.set_index_buffer(self.pane_corners.slice(..), wgpu::IndexFormat::Uint32);
         for (index, triangles) in panes {
             let material = meshes.meshes[*index as usize].material;
-            self.bind_draw(&mut pass, glass, &self.draws[0], (material, *index));
+            let own = object(*index).and_then(|(glass, _, light)| Some((glass?, light)));
+            let by = own.unwrap_or((glass, &self.view_group));
+            self.bind_draw(&mut pass, by, &self.draws[0], (material, *index));
             pass.set_vertex_buffer(0, meshes.meshes[*index as usize].vertices.slice(..));
             pass.draw_indexed(3 * triangles.start..3 * triangles.end, 0, 0..1);
         }

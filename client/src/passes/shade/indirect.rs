@@ -2,7 +2,8 @@
 
 use glam::Vec3;
 
-use super::{LIGHTS, SHADER, ShadeView, Surface, UNWALKED, WALKED};
+use super::{LIGHTS, SHADER, ShadeView, Surface, UNMOVED, UNWALKED, WALKED};
+use crate::passes::transfer::PIXELS;
 
 /// Indirect light on the processor.
 pub trait IndirectIrradiance: Sync {
@@ -36,11 +37,16 @@ pub struct Shading {
 impl Shading {
     /// The whole shader.
     pub fn shader(&self) -> String {
-        [LIGHTS, WALKED, SHADER, self.snippet].concat()
+        [LIGHTS, UNMOVED, WALKED, SHADER, self.snippet].concat()
+    }
+
+    /// The whole shader where objects with bakes of their own change light.
+    pub fn shader_with_objects(&self) -> String {
+        [LIGHTS, PIXELS, WALKED, SHADER, self.snippet].concat()
     }
 
     /// The whole shader where nothing walks through voxels, as in browsers.
     pub fn shader_without_walks(&self) -> String {
-        [LIGHTS, UNWALKED, SHADER, self.snippet].concat()
+        [LIGHTS, UNMOVED, UNWALKED, SHADER, self.snippet].concat()
     }
 }

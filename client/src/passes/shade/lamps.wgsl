@@ -5,6 +5,8 @@ struct Seen {
     irradiance: vec3f,
     // Radiance that microfacets reflect of it towards the eye, in W/m2/sr.
     reflected: vec3f,
+    // Indirect irradiance that objects give and take.
+    moved: vec3f,
 }
 
 // Irradiance on a mapped normal, of that on the surface's own, at most: none comes from behind.
@@ -43,13 +45,14 @@ fn free_irradiance(light: Light, position: vec3f, normal: vec3f) -> vec3f {
 
 // Light of all lamps, by cascades where there are some. Shadows are those of `before`, a point a little nearer to the eye.
 fn seen_light(surface: Surface, before: vec3f, gloss: Gloss) -> Seen {
-    var seen = Seen(vec3f(0.0), vec3f(0.0));
+    var seen = Seen(vec3f(0.0), vec3f(0.0), vec3f(0.0));
     let normal = surface.towards;
     let is_bent = HAS_MAPS && any(normal != surface.normal);
     let mirrored = reflect(-gloss.eye, normal);
-    for (var index = 0u; index < light_count.count; index++) {
-        let light = lights[index];
+    for (var index = 0u; index < lamp_count(); index++) {
+        let light = lamp_at(index);
         let found = lamp_irradiance(light, surface.position, before, normal, surface.facet);
+        seen.moved += moved_by(index, found.w);
         var arriving = found.rgb;
         if is_bent {
             arriving = min(arriving, BENT_MOST * found.w * free_irradiance(light, surface.position, surface.normal));

@@ -5,6 +5,7 @@ mod indirect;
 pub mod lamps;
 mod looks;
 mod normals;
+mod objects;
 mod panes;
 mod panorama;
 mod pipelines;
@@ -17,6 +18,7 @@ mod view;
 pub use gpu::ShadePass;
 pub use indirect::{IndirectIrradiance, Shading};
 pub use looks::{ShadeDraw, details_of};
+pub use objects::ObjectShading;
 pub use panorama::{PANORAMA_SHADER, PanoramaNumbers};
 pub use starts::StartTextures;
 pub use surface::Surface;
@@ -37,6 +39,8 @@ const LIGHTS: &str = concat!(
 /// Light that walks found, with its bindings; and the part that stands for it where nothing walks.
 const WALKED: &str = include_str!("walked.wgsl");
 const UNWALKED: &str = include_str!("unwalked.wgsl");
+/// Stands for what objects change where none has a bake of its own.
+const UNMOVED: &str = concat!(include_str!("../shared/whole_maps.wgsl"), include_str!("unmoved.wgsl"));
 /// The shader; [`Shading::shader`] adds indirect light.
 const SHADER: &str = concat!(include_str!("shade.wgsl"), include_str!("start.wgsl"));
 /// Largest difference from the reference, relative to the picture's mean, for all but [`OUTLIERS`]: adapters read

@@ -197,7 +197,7 @@ fn met_at(corner: Corner, front: bool) -> Met {
     let gloss = gloss_of(rho, metallic, roughness, towards, eye);
     let texel = corner.lightmap_texel;
     let lightmap_before = texel_before(corner, step_x, step_y);
-    let surface = Surface(corner.position, normal, facet, towards, gloss.lobe, draw.index, front, texel, lightmap_before);
+    let surface = Surface(corner.position, normal, facet, towards, gloss.lobe, draw_within(draw.index), front, texel, lightmap_before);
     return Met(surface, rho, glow, met.share, gloss);
 }
 
@@ -226,7 +226,9 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
             reflected = select(reflected, gloss.reflectance * own.reflected, (parts & 1u) != 0u && own.reflects);
         }
     }
+    find_moved(draw.index, surface);
     let seen = seen_light(surface, before(surface.position), gloss);
+    diffuse = changed(diffuse, seen.moved);
     var radiance = met.emission + met.albedo * gloss.diffuse * (1.0 / PI) * (seen.irradiance + diffuse);
     if HAS_GLOSS {
         radiance += seen.reflected + reflected;

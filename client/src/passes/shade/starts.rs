@@ -3,7 +3,7 @@
 use wgpu::ShaderStages as Stages;
 
 use crate::error::Result;
-use crate::passes::gpu::{Gpu, texture, uniform};
+use crate::passes::gpu::{Gpu, storage_read, texture, uniform};
 use crate::passes::meshes::vertex_layout;
 use crate::passes::shadow::nearer_wins;
 
@@ -67,32 +67,38 @@ pub(super) fn pipelines(
     })
 }
 
-/// Kinds of the bindings of a draw: its look, what walks found, and where they started.
-pub(super) fn draw_kinds() -> [(Stages, wgpu::BindingType); 4] {
+/// Kinds of the bindings of a draw: its look, what walks found, where they started, and objects with bakes of their own, if any.
+pub(super) fn draw_kinds(has_objects: bool) -> Vec<(Stages, wgpu::BindingType)> {
     let (layers, one) = (wgpu::TextureViewDimension::D2Array, wgpu::TextureViewDimension::D2);
     let float = wgpu::TextureSampleType::Float { filterable: false };
-    [
+    let mut kinds = vec![
         (Stages::VERTEX_FRAGMENT, uniform(true)),
         (Stages::FRAGMENT, texture(float, layers)),
         (Stages::FRAGMENT, texture(float, one)),
         (Stages::FRAGMENT, texture(wgpu::TextureSampleType::Uint, one)),
-    ]
+    ];
+    if has_objects {
+        kinds.extend([(); 3].map(|()| (Stages::FRAGMENT, storage_read())));
+    }
+    kinds
 }
 
-/// Binds looks of draws, what walks found, and where they started.
+/// Binds looks of draws, what walks found, where they started, and objects with bakes of their own.
 pub(super) fn bind_draws(
     gpu: &Gpu,
     layout: &wgpu::BindGroupLayout,
     looks: &wgpu::Buffer,
     (walked, starts): (&wgpu::TextureView, &StartTextures),
+    objects: Option<&[wgpu::Buffer; 3]>,
 ) -> wgpu::BindGroup {
     let size = wgpu::BufferSize::new(size_of::<ShadeDraw>() as u64);
     let window = wgpu::BufferBinding { buffer: looks, offset: 0, size };
-    let resources = [
+    let mut resources = vec![
         wgpu::BindingResource::Buffer(window),
         wgpu::BindingResource::TextureView(walked),
         wgpu::BindingResource::TextureView(&starts.points),
         wgpu::BindingResource::TextureView(&starts.normals),
     ];
+    resources.extend(objects.into_iter().flatten().map(wgpu::Buffer::as_entire_binding));
     gpu.bind(layout, &resources)
 }

@@ -8,8 +8,9 @@ use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::panes::PanePass;
 use super::reference::ShadowMaps;
-use super::{Face, Light, LightCount, SHADER, ShadowPlan, ShadowRoom};
-use crate::error::Result;
+use super::sights::SIGHT_FACES;
+use super::{Face, Light, LightCount, SHADER, SIGHT_SIDE, ShadowPlan, ShadowRoom, SightPlaces};
+use crate::error::{ClientError, Result};
 use crate::passes::gpu::{Gpu, array_view, storage_read, texture, uniform};
 use crate::passes::meshes::{Meshes, sampled, uv_rows, vertex_layout};
 use crate::passes::stopwatch::Recorder;
@@ -35,9 +36,9 @@ pub struct Mask {
 
 /// Buffers of the bind group of lights.
 #[derive(Debug)]
-struct LightRows {
-    lights: wgpu::Buffer,
-    faces: wgpu::Buffer,
+pub(super) struct LightRows {
+    pub(super) lights: wgpu::Buffer,
+    pub(super) faces: wgpu::Buffer,
     count: wgpu::Buffer,
 }
 
@@ -47,14 +48,17 @@ pub struct ShadowPass {
     solid: wgpu::RenderPipeline,
     masked: wgpu::RenderPipeline,
     faces: wgpu::BindGroup,
-    projections: wgpu::Buffer,
-    face_stride: u32,
-    rows: LightRows,
-    face_views: Vec<wgpu::TextureView>,
+    pub(super) projections: wgpu::Buffer,
+    pub(super) face_stride: u32,
+    pub(super) rows: LightRows,
+    pub(super) face_views: Vec<wgpu::TextureView>,
     /// Per mesh: the mask of alpha-masked ones.
     masks: Vec<Option<wgpu::BindGroup>>,
     maps: wgpu::Texture,
     panes: PanePass,
+    pub(super) sights: SightPlaces,
+    /// Texels along a side of a layer.
+    pub(super) side: u32,
     /// Layout of [`Self::light_group`]: group 0 of `light.wgsl`.
     pub light_layout: wgpu::BindGroupLayout,
     /// Lights, faces and maps.
@@ -64,29 +68,50 @@ pub struct ShadowPass {
 impl ShadowPass {
     /// Makes room for lights and their maps; there are none until [`ShadowPass::set`].
     pub fn new(gpu: &Gpu, scene: &LoadedScene, meshes: &Meshes, room: &ShadowRoom) -> Result<Self> {
+        Self::with_sights(gpu, scene, meshes, room, 0)
+    }
+
+    /// Makes room for what so many objects see, too.
+    pub fn with_sights(
+        gpu: &Gpu,
+        scene: &LoadedScene,
+        meshes: &Meshes,
+        room: &ShadowRoom,
+        sights: u32,
+    ) -> Result<Self> {
         let face_layout = gpu.bind_layout(&[(Stages::VERTEX, uniform(true))]);
         let [base, sampler] = sampled();
         let mask_layout = gpu.bind_layout(&[(Stages::VERTEX_FRAGMENT, uniform(false)), base, sampler]);
         let module = gpu.module("shadow", SHADER);
         let solid = pipeline(gpu, &module, &[&face_layout], "solid", None);
         let masked = pipeline(gpu, &module, &[&face_layout, &mask_layout], "masked", Some("mask"));
-        let blank = vec![[[0.0_f32; 4]; 4]; room.faces as usize];
+        let places =
+            SightPlaces { first_light: room.lights, first_face: room.faces, first_layer: room.faces };
+        let [lights, faces] = [room.lights + sights, room.faces + SIGHT_FACES * sights];
+        let tiles = (room.side / SIGHT_SIDE).pow(2).max(1);
+        let layers = room.faces + (SIGHT_FACES * sights).div_ceil(tiles);
+        if sights > 0 && layers > gpu.device.limits().max_texture_array_layers {
+            let what = format!("{} shadow maps, and {sights} objects with bakes of their own", room.faces);
+            let problem = "are more than the adapter has layers for; use fewer lights".to_owned();
+            return Err(ClientError::Argument { what, problem });
+        }
+        let blank = vec![[[0.0_f32; 4]; 4]; faces as usize];
         let (projections, face_stride) = gpu.uniforms("faces", &blank);
         let window = wgpu::BufferBinding {
             buffer: &projections,
             offset: 0,
             size: wgpu::BufferSize::new(size_of::<[[f32; 4]; 4]>() as u64),
         };
-        let faces = gpu.bind(&face_layout, &[wgpu::BindingResource::Buffer(window)]);
-        let maps = create_maps(gpu, room.side, room.faces, wgpu::TextureFormat::Depth32Float)?;
+        let bound_faces = gpu.bind(&face_layout, &[wgpu::BindingResource::Buffer(window)]);
+        let maps = create_maps(gpu, room.side, layers, wgpu::TextureFormat::Depth32Float)?;
         let panes = PanePass::new(gpu, scene, meshes, room, &face_layout)?;
         let rows = LightRows {
-            lights: gpu.blank("lights", u64::from(room.lights) * size_of::<Light>() as u64)?,
-            faces: gpu.blank("faces", u64::from(room.faces) * size_of::<Face>() as u64)?,
+            lights: gpu.blank("lights", u64::from(lights) * size_of::<Light>() as u64)?,
+            faces: gpu.blank("faces", u64::from(faces) * size_of::<Face>() as u64)?,
             count: gpu.uniform("light count", &LightCount::zeroed()),
         };
         let (light_layout, light_group) = bind_lights(gpu, &rows, &maps, &panes);
-        let face_views = (0..room.faces).map(|layer| face_view(&maps, layer)).collect();
+        let face_views = (0..layers).map(|layer| face_view(&maps, layer)).collect();
         let material = |material: usize| &scene.manifest.materials[material];
         let masks = meshes
             .meshes
@@ -96,7 +121,7 @@ impl ShadowPass {
         Ok(Self {
             solid,
             masked,
-            faces,
+            faces: bound_faces,
             projections,
             face_stride,
             rows,
@@ -104,6 +129,8 @@ impl ShadowPass {
             masks,
             maps,
             panes,
+            sights: places,
+            side: room.side,
             light_layout,
             light_group,
         })
@@ -133,21 +160,29 @@ impl ShadowPass {
                 ..Default::default()
             });
             let offset = face as u32 * self.face_stride;
-            for (index, (mesh, mask)) in meshes.meshes.iter().zip(&self.masks).enumerate() {
-                if self.panes.is_glass(index) {
-                    continue;
-                }
-                pass.set_pipeline(if mask.is_some() { &self.masked } else { &self.solid });
-                pass.set_bind_group(0, &self.faces, &[offset]);
-                if let Some(mask) = mask {
-                    pass.set_bind_group(1, mask, &[]);
-                }
-                meshes.draw(&mut pass, mesh);
-            }
+            self.draw_opaque(&mut pass, (meshes, 0..meshes.meshes.len()), offset);
             drop(pass);
             self.panes.record(encoder, meshes, (face, view), |pass| {
                 pass.set_bind_group(0, &self.faces, &[offset]);
             });
+        }
+    }
+
+    /// Draws some meshes but glass into a face, whose projection lies at that offset.
+    pub(super) fn draw_opaque(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        (meshes, drawn): (&Meshes, Range<usize>),
+        offset: u32,
+    ) {
+        for index in drawn.filter(|index| !self.panes.is_glass(*index)) {
+            let mask = self.masks[index].as_ref();
+            pass.set_pipeline(if mask.is_some() { &self.masked } else { &self.solid });
+            pass.set_bind_group(0, &self.faces, &[offset]);
+            if let Some(mask) = mask {
+                pass.set_bind_group(1, mask, &[]);
+            }
+            meshes.draw(pass, &meshes.meshes[index]);
         }
     }
 

@@ -5,12 +5,14 @@ pub(in crate::passes) mod look_up;
 mod panes;
 mod plan;
 pub mod reference;
+mod sights;
 
 pub use gpu::{Mask, ShadowPass};
 pub(in crate::passes) use gpu::{cleared_depth, nearer_wins};
 pub use panes::Pane;
 pub(in crate::passes) use panes::tested_alone;
 pub use plan::{Eye, Face, Light, LightCount, MAX_SIDE, MIN_SIDE, RECT_FACES, ShadowPlan, ShadowRoom};
+pub use sights::{SIGHT_SIDE, SightPlaces};
 
 /// The shader.
 pub const SHADER: &str = include_str!("shadow.wgsl");

@@ -7,7 +7,7 @@ struct Light {
     // Cut-off distance in metres, 0 for none.
     range_m: f32,
     direction: vec3f,
-    // 0 point, 1 spot, 2 sun, 3 rectangle.
+    // 0 point, 1 spot, 2 sun, 3 rectangle, 4 what an object sees.
     shape: u32,
     // W/sr; W/m2 for a sun; W/m2/sr for a rectangle.
     strength: vec3f,
@@ -52,6 +52,8 @@ const POINT = 0u;
 const SPOT = 1u;
 const SUN = 2u;
 const RECT = 3u;
+// What an object sees: no light, whose share tells what is in sight.
+const SIGHT = 4u;
 // Texels at a cascade's rim that the filter's reach may leave, and the part of its half side within which it fades in.
 const CASCADE_GUARD = 8.0;
 const CASCADE_RIM = 0.1;

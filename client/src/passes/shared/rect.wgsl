@@ -93,7 +93,7 @@ fn lamp_irradiance(light: Light, position: vec3f, before: vec3f, normal: vec3f, 
         arriving = light.strength;
     } else {
         arriving = unshadowed(light, position, normal);
-        if max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
+        if light.shape != SIGHT && max(arriving.x, max(arriving.y, arriving.z)) <= 0.0 {
             return vec4f(0.0);
         }
     }

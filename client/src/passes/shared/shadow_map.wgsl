@@ -1,4 +1,5 @@
-// Look-ups in shadow maps, whose depth is reversed: the greater, the nearer to the light. Joined behind `light.wgsl`.
+// Look-ups in shadow maps, whose depth is reversed: the greater, the nearer to the light. Joined behind `light.wgsl`, with `whole_maps.wgsl` or
+// `passes/transfer/sights.wgsl`.
 // Twin: shadow/look_up.rs.
 
 // Reach of the filter in texels, and a margin against rounding.
@@ -24,18 +25,19 @@ fn visibility(face_index: u32, position: vec3f) -> f32 {
         return 1.0;
     }
     let ndc = clip.xyz / clip.w;
-    let side = f32(light_count.side);
+    let side = side_of(face_index);
     let at = (vec2f(ndc.x, -ndc.y) * 0.5 + 0.5) * side - 0.5;
     let base = floor(at);
     let share = at - base;
     let weight_x = array<f32, 4>(1.0 - share.x, 1.0, 1.0, share.x);
     let weight_y = array<f32, 4>(1.0 - share.y, 1.0, 1.0, share.y);
-    let last = i32(light_count.side) - 1;
+    let last = i32(side) - 1;
     var lit = 0.0;
     for (var row = 0; row < 4; row++) {
         for (var column = 0; column < 4; column++) {
             let texel = clamp(vec2i(base) + vec2i(column - 1, row - 1), vec2i(0), vec2i(last));
-            let nearest = textureLoad(shadow_maps, texel, i32(face_index), 0);
+            let place = texel_at(face_index, texel);
+            let nearest = textureLoad(shadow_maps, place.xy, place.z, 0);
             if nearest <= ndc.z {
                 lit += weight_x[column] * weight_y[row] * passed(face_index, texel, ndc.z);
             }
@@ -58,7 +60,7 @@ fn is_behind(face_index: u32, light: Light, position: vec3f, facet: vec3f, lift_
     }
     let ndc = clip.xyz / clip.w;
     let margin = nearer.z / nearer.w - ndc.z;
-    let at = (vec2f(ndc.x, -ndc.y) * 0.5 + 0.5) * f32(light_count.side) - 0.5;
+    let at = (vec2f(ndc.x, -ndc.y) * 0.5 + 0.5) * side_of(face_index) - 0.5;
     let base = vec2i(floor(at));
     // Most points see their own surface.
     let d = vec3f(
@@ -124,8 +126,9 @@ fn ends(face_index: u32, texel: vec2i, expected: f32, surface: f32) -> bool {
 }
 
 fn depth_at(face_index: u32, texel: vec2i) -> f32 {
-    let last = i32(light_count.side) - 1;
-    return textureLoad(shadow_maps, clamp(texel, vec2i(0), vec2i(last)), i32(face_index), 0);
+    let last = i32(side_of(face_index)) - 1;
+    let place = texel_at(face_index, clamp(texel, vec2i(0), vec2i(last)));
+    return textureLoad(shadow_maps, place.xy, place.z, 0);
 }
 
 // Moves a point along its normal until the filter's reach cannot meet the point's own surface.

@@ -1,3 +1,31 @@
 //! Light that objects with bakes of their own give and take: their parts' radiance in place of what these hide (METHOD.md §2.17).
 
+mod feed;
+mod moved;
 pub mod reference;
+mod table;
+
+pub use feed::{FeedNumbers, FeedPass};
+pub use moved::{MovedBuffers, MovedNumbers, MovedPass};
+pub(in crate::passes) use table::rows_of;
+pub use table::{MOVERS_MAX, MoverLevelRow, MoverNumbers, MoverRow, MoverTable};
+
+/// The shader of receivers, with the lights' part in front.
+pub const TEXELS_SHADER: &str = concat!(
+    include_str!("../shared/light.wgsl"),
+    include_str!("../shared/rect.wgsl"),
+    include_str!("../shared/shadow_map.wgsl"),
+    include_str!("volume.wgsl"),
+    include_str!("sights.wgsl"),
+    include_str!("texels.wgsl")
+);
+/// The shader's part for pixels; and what stands for it in scenes without such objects.
+pub const PIXELS: &str =
+    concat!(include_str!("volume.wgsl"), include_str!("sights.wgsl"), include_str!("pixels.wgsl"));
+/// The shader of light that is changed before it bounces.
+pub const FEED_SHADER: &str = include_str!("feed.wgsl");
+/// Largest difference from the reference, relative to the largest value, for all but [`OUTLIERS`]: sums over some parts of numbers of either
+/// sign, and shadow maps' rounding.
+pub const TOLERANCE: f32 = 2e-3;
+/// Share of receivers that may differ more: a texel of what an object sees falls to either side of an edge by one rounding.
+pub const OUTLIERS: f32 = 5e-3;

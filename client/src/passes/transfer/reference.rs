@@ -7,12 +7,9 @@ use crate::error::Result;
 use crate::lights::{Caster, Shape};
 use crate::passes::direct::reference::face_of;
 use crate::passes::direct::reference::share_by;
-use crate::passes::shadow::ShadowPlan;
 use crate::passes::shadow::reference::{ShadowMaps, draw_own};
+use crate::passes::shadow::{SIGHT_SIDE, ShadowPlan};
 use crate::scene::LoadedScene;
-
-/// Texels along a side of the shadow cube at an object's middle. More → sharper ends of its effect at edges of walls.
-const CUBE_SIDE: u32 = 64;
 
 /// Surfaces of a bake that an object's middle sees.
 #[derive(Clone, Debug)]
@@ -33,6 +30,13 @@ pub struct Effect<'a> {
 impl Sight {
     /// From a point, past the bake's own surfaces alone.
     pub fn from(scene: &LoadedScene, middle_m: Vec3) -> Result<Self> {
+        let plan = Self::plan(scene, middle_m)?;
+        let maps = draw_own(scene, &plan);
+        Ok(Self { plan, maps })
+    }
+
+    /// The cube at a point.
+    pub fn plan(scene: &LoadedScene, middle_m: Vec3) -> Result<ShadowPlan> {
         let caster = Caster {
             position: middle_m,
             direction: -Vec3::Y,
@@ -44,9 +48,7 @@ impl Sight {
             cells: [0; 2],
             shape: Shape::Point,
         };
-        let plan = ShadowPlan::new(&[caster], scene.manifest.bounds_m, CUBE_SIDE, None)?;
-        let maps = draw_own(scene, &plan);
-        Ok(Self { plan, maps })
+        ShadowPlan::new(&[caster], scene.manifest.bounds_m, SIGHT_SIDE, None)
     }
 
     /// Share of a point of a surface that is in sight: v.

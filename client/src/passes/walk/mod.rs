@@ -5,13 +5,15 @@ macro_rules! walks_source {
     () => {
         concat!(
             include_str!("../shared/octahedral.wgsl"),
-            include_str!("table.wgsl"),
-            include_str!("path.wgsl"),
-            include_str!("candidates.wgsl"),
-            include_str!("walk.wgsl")
+            include_str!("../walk/table.wgsl"),
+            include_str!("../walk/path.wgsl"),
+            include_str!("../walk/candidates.wgsl"),
+            include_str!("../walk/walk.wgsl")
         )
     };
 }
+
+pub(in crate::passes) use walks_source;
 
 mod pass;
 pub mod reference;

@@ -124,6 +124,11 @@ impl WalkTable {
         Ok(Self { layout, group, glows, glow_count })
     }
 
+    /// Layout and group of what walks read: group 0.
+    pub(in crate::passes) fn bound(&self) -> (&wgpu::BindGroupLayout, &wgpu::BindGroup) {
+        (&self.layout, &self.group)
+    }
+
     /// Writes the radiance of glows from that of each emitter, W·m⁻²·sr⁻¹.
     pub fn set_emitters(&self, gpu: &Gpu, table: &VoxelTable, emitters: impl Fn(u16) -> Vec3) {
         let glows: Vec<Vec4> =

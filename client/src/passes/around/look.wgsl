@@ -1,0 +1,26 @@
+// Walks from the viewpoints of an object through the voxels around it; joined behind the walks and `viewpoints.wgsl`. One thread per walk.
+
+@group(1) @binding(0) var<uniform> viewpoints: Viewpoints;
+// Radiance that walks meet, viewpoint after viewpoint; w is 1 of those that end at a back.
+@group(1) @binding(1) var<storage, read_write> met: array<vec4f>;
+// Directions of walks, and the part of the sphere that each is of.
+@group(1) @binding(2) var<uniform> directions: array<vec4f, 1024>;
+
+@compute @workgroup_size(64)
+fn look(@builtin(global_invocation_id) thread: vec3u) {
+    if thread.x >= viewpoints.count * viewpoints.walks {
+        return;
+    }
+    let viewpoint = thread.x / viewpoints.walks;
+    if (viewpoints.open >> viewpoint & 1u) == 0u {
+        met[thread.x] = vec4f(0.0, 0.0, 0.0, 1.0);
+        return;
+    }
+    let corner = select(-viewpoints.half_m, viewpoints.half_m, corner_of(viewpoint));
+    let own = vec4f(viewpoints.middle_m + select(corner, vec3f(0.0), viewpoints.count == 1u), 1.0);
+    let at = vec3f(dot(viewpoints.rows[0], own), dot(viewpoints.rows[1], own), dot(viewpoints.rows[2], own));
+    let local = directions[thread.x % viewpoints.walks].xyz;
+    let direction = normalize(vec3f(dot(viewpoints.rows[0].xyz, local), dot(viewpoints.rows[1].xyz, local), dot(viewpoints.rows[2].xyz, local)));
+    let hit = walk(at, vec3f(0.0), direction, viewpoints.tangent, FAR);
+    met[thread.x] = vec4f(radiance(hit, direction), select(0.0, 1.0, hit.element != NOTHING && hit.is_back));
+}
