@@ -63,6 +63,18 @@ pub trait Kind: Send + Sync {
         None
     }
 
+    /// Whether its bakes are those of objects that move through other bakes.
+    fn is_of_objects(&self) -> bool {
+        false
+    }
+
+    /// Settings under which bakes of the kind light objects that have bakes of their own, and are lit by them: those given, with what that
+    /// takes where they leave it open. `None` where they rule it out, or the kind does.
+    fn beside_objects(&self, settings: &Value) -> Option<Value> {
+        let _ = settings;
+        None
+    }
+
     /// Rows of chunk kinds that are the kind's own.
     fn chunks(&self) -> &'static [ChunkRow];
 
@@ -180,6 +192,11 @@ impl Kinds {
     /// The row of a chunk kind.
     pub fn chunk(&self, kind: ChunkKind) -> Option<&'static ChunkRow> {
         self.chunks().find(|row| row.kind == kind)
+    }
+
+    /// The kind of objects that move through other bakes.
+    pub fn of_objects(&self) -> Option<&'static dyn Kind> {
+        self.iter().find(|kind| kind.is_of_objects())
     }
 
     /// Names, for messages.

@@ -36,6 +36,27 @@ fn unknown_kind_is_refused_with_the_known_ones() {
 }
 
 #[test]
+fn one_kind_is_of_objects_and_those_with_voxels_light_them() {
+    let kinds = Kinds::new();
+    assert_eq!(kinds.iter().filter(|kind| kind.is_of_objects()).count(), 1);
+    let beside = |name: &str, settings: serde_json::Value| kinds.get(name).unwrap().beside_objects(&settings);
+    for name in ["prt", "grid", "cloud"] {
+        assert_eq!(beside(name, json!(null)), Some(json!({"voxels": "on"})));
+        assert_eq!(
+            beside(name, json!({"voxels": "on", "preset": "high"})),
+            Some(json!({"voxels": "on", "preset": "high"}))
+        );
+        assert_eq!(beside(name, json!({"voxels": "off"})), None);
+        let settings = beside(name, json!({})).unwrap();
+        assert!(kinds.get(name).unwrap().resolve(&settings).is_ok(), "{name}");
+    }
+    assert_eq!(beside("voxels", json!({"preset": "draft"})), Some(json!({"preset": "draft"})));
+    for name in ["sh", "captured", "transfer"] {
+        assert_eq!(beside(name, json!({})), None);
+    }
+}
+
+#[test]
 fn kinds_of_one_scene_share_their_scene_tasks_by_key() {
     let kinds = Kinds::new();
     let keys = |kind: &str, settings| -> Vec<_> {

@@ -6,6 +6,7 @@ pub mod tasks;
 
 use serde_json::Value;
 
+use super::voxels::with_voxels;
 use super::{Figures, Kind, Rates, Warning, field, prt};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
@@ -51,6 +52,10 @@ impl Kind for Cloud {
 
     fn rates(&self, settings: &Value) -> Result<Option<Rates>, SettingsError> {
         prt::Prt.rates(&Settings::from_json(settings)?.relightable().stated())
+    }
+
+    fn beside_objects(&self, settings: &Value) -> Option<Value> {
+        with_voxels(settings)
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

@@ -7,6 +7,7 @@ pub mod tasks;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use super::voxels::with_voxels;
 use super::{Figures, Kind, Rates, UnderWay, Warning, cluster_figures, cluster_warnings};
 use crate::chunk::ChunkRow;
 use crate::ids::Digest;
@@ -70,6 +71,10 @@ impl Kind for Prt {
 
     fn under_way(&self) -> Option<UnderWay> {
         Some(UnderWay { outline: tasks::PLAN.name, clusters: tasks::COLOUR.name })
+    }
+
+    fn beside_objects(&self, settings: &Value) -> Option<Value> {
+        with_voxels(settings)
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

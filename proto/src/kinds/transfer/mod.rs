@@ -103,6 +103,10 @@ impl Kind for Transfer {
         prt::Prt.rates(&Settings::from_json(settings)?.relightable().stated())
     }
 
+    fn is_of_objects(&self) -> bool {
+        true
+    }
+
     fn chunks(&self) -> &'static [ChunkRow] {
         &[ROW]
     }

@@ -14,7 +14,9 @@ use crate::manifest::{Manifest, ManifestError};
 use crate::settings::{SettingRow, SettingsError};
 use crate::voxels::{ROW, VOXELS};
 
-pub use settings::{Presence, Settings, VoxelPresence, VoxelSettings, WalkedSettings, walked_part};
+pub use settings::{
+    Presence, Settings, VoxelPresence, VoxelSettings, WalkedSettings, walked_part, with_voxels,
+};
 
 /// Name of the kind.
 pub const NAME: &str = "voxels";
@@ -56,6 +58,10 @@ impl Kind for Voxels {
             cluster_receivers: f64::from(settings.walked.cluster_receivers),
             measured: MEASURED,
         }))
+    }
+
+    fn beside_objects(&self, settings: &Value) -> Option<Value> {
+        Some(settings.clone())
     }
 
     fn chunks(&self) -> &'static [ChunkRow] {

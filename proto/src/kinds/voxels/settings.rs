@@ -1,12 +1,16 @@
 //! Settings of voxels.
 
+use serde_json::{Value, json};
+
 use super::NAME;
 use crate::kinds::prt::{self, PatchSettings};
-use crate::settings::{FactorSettings, PlaceSettings, TexelSettings, TransportSettings};
+use crate::settings::{FactorSettings, PlaceSettings, SettingValue as _, TexelSettings, TransportSettings};
 use crate::{kind_settings, setting_words, settings_group};
 
 /// Rays of a receiver of a bake of voxels alone: they tell which receivers no light can reach, and nothing of them is stored.
 const RAYS: u32 = 64;
+/// Setting that says whether a bake has voxels.
+const PRESENCE: &str = "voxels";
 /// Receivers of a cluster that has no factors.
 const CLUSTER_RECEIVERS: u32 = 4096;
 
@@ -66,6 +70,14 @@ impl VoxelPresence {
     pub fn is_on(&self) -> bool {
         self.voxels == Presence::On
     }
+}
+
+/// Settings of a kind with [`VoxelPresence`], with voxels where they leave that open; `None` where they have none.
+pub fn with_voxels(settings: &Value) -> Option<Value> {
+    let mut settings = if settings.is_null() { json!({}) } else { settings.clone() };
+    let [off, on] = [Presence::Off, Presence::On].map(|presence| presence.write());
+    let stated = settings.as_object_mut()?.entry(PRESENCE).or_insert(on);
+    (*stated != off).then_some(settings)
 }
 
 /// Settings of the receivers of a relightable bake that have the light of walks.
