@@ -132,6 +132,22 @@ impl<'a> Reader<'a> {
         self.count
     }
 
+    /// Bytes of an element.
+    pub(super) fn element_bytes(&self) -> usize {
+        self.layout.element_bytes()
+    }
+
+    /// Appends the bytes of all elements, each `stride` after the one before it; those between are 0.
+    pub(super) fn pack(&self, stride: usize, bytes: &mut Vec<u8>) {
+        let start = bytes.len();
+        bytes.resize(start + self.count * stride, 0);
+        for (index, packed) in bytes[start..].chunks_exact_mut(stride.max(1)).enumerate() {
+            if let Some(element) = self.element(index) {
+                packed[..element.len()].copy_from_slice(element);
+            }
+        }
+    }
+
     /// Element `index` as floats, normalised if the accessor is; components that it lacks are `missing`.
     ///
     /// `index` is below [`Self::count`].

@@ -1,6 +1,7 @@
 //! The glTF document: JSON to typed form, with its version, extensions and size checked first.
 
 use gltf::json::{Index, Root, root::Get};
+use serde_json::Value;
 
 use super::Opening;
 use super::error::{ImportError, Result, place_of, shown};
@@ -26,6 +27,9 @@ const SUPPORTED_EXTENSIONS: [&str; 9] = [
 /// names.
 const HARMLESS_EXTENSIONS: [&str; 4] = ["KHR_animation_", "KHR_materials_", "KHR_xmp", "EXT_mesh_features"];
 
+/// Code of the warning that animations are not played.
+pub(super) const ANIMATIONS: &str = "animations-ignored";
+
 /// How to do without an extension that a file requires.
 const ADVICE: [(&str, &str); 4] = [
     (
@@ -39,19 +43,30 @@ const ADVICE: [(&str, &str); 4] = [
 
 /// Parses a `.gltf` or `.glb` and checks version and required extensions. Gives the GLB's binary chunk beside it.
 pub(super) fn parse<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Root, Option<&'a [u8]>)> {
-    let (json, bin) = if glb::is_glb(bytes) {
-        let parts = glb::split(bytes)?;
-        (parts.json, parts.bin)
-    } else {
-        (bytes, None)
-    };
-    let json = json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json);
+    let (json, bin) = json_of(bytes)?;
     check_json_size(json, limits)?;
     census::check(json, limits)?;
     let root = outline::read(json)?;
     check_version(&root)?;
     check_required_extensions(&root)?;
     Ok((root, bin))
+}
+
+/// The JSON of a `.gltf` or `.glb`, and the GLB's binary chunk beside it.
+fn json_of(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
+    let (json, bin) = match glb::is_glb(bytes) {
+        true => glb::split(bytes).map(|parts| (parts.json, parts.bin))?,
+        false => (bytes, None),
+    };
+    Ok((json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json), bin))
+}
+
+/// The JSON of a `.gltf` or `.glb` that [`parse`] has taken, untyped, its keys in order.
+pub(super) fn values(bytes: &[u8]) -> Result<Value> {
+    let mut values: Value =
+        serde_json::from_slice(json_of(bytes)?.0).map_err(|source| ImportError::Json { source })?;
+    values.sort_all_objects();
+    Ok(values)
 }
 
 /// Bounds what parsing can allocate, by counting outside strings before anything is built.
@@ -104,7 +119,7 @@ pub(super) fn warn_of_ignored_extensions(root: &Root, opening: Opening, warnings
     }
     if !root.animations.is_empty() && opening == Opening::Still {
         let count = root.animations.len();
-        warnings.add("animations-ignored", || {
+        warnings.add(ANIMATIONS, || {
             format!("{count} animation(s) are not played: the scene is baked as it stands at rest")
         });
     }

@@ -52,6 +52,32 @@ pub(super) fn split(bytes: &[u8]) -> Result<Glb<'_>> {
     Ok(Glb { json, bin })
 }
 
+/// A GLB of the two parts.
+pub(super) fn joined(mut json: Vec<u8>, bin: &[u8]) -> Vec<u8> {
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let bin_bytes = bin.len().next_multiple_of(4);
+    let has_bin = bin_bytes > 0;
+    let total = HEADER_BYTES
+        + CHUNK_HEADER_BYTES
+        + json.len()
+        + usize::from(has_bin) * (CHUNK_HEADER_BYTES + bin_bytes);
+    let mut glb = Vec::with_capacity(total);
+    glb.extend_from_slice(MAGIC);
+    let number = |glb: &mut Vec<u8>, number: usize| glb.extend((number as u32).to_le_bytes());
+    number(&mut glb, 2);
+    number(&mut glb, total);
+    number(&mut glb, json.len());
+    glb.extend_from_slice(JSON_CHUNK);
+    glb.append(&mut json);
+    if has_bin {
+        number(&mut glb, bin_bytes);
+        glb.extend_from_slice(BIN_CHUNK);
+        glb.extend_from_slice(bin);
+        glb.resize(total, 0);
+    }
+    glb
+}
+
 /// A chunk's type and body.
 type Chunk<'a> = (&'a [u8], &'a [u8]);
 

@@ -68,7 +68,8 @@ pub(super) fn decode(image: &SceneImage) -> Result<DynamicImage> {
     decode_as(&image.bytes, format).map_err(unreadable)
 }
 
-fn image_bytes<'a>(context: &Context<'a>, index: usize) -> Result<Cow<'a, [u8]>> {
+/// The encoded bytes of image `index` of the file.
+pub(super) fn image_bytes<'a>(context: &Context<'a>, index: usize) -> Result<Cow<'a, [u8]>> {
     let root = context.root;
     let place = || image_place(root, index);
     match (&root.images[index].uri, root.images[index].buffer_view) {

@@ -25,6 +25,7 @@ mod limits;
 mod materials;
 mod meshopt;
 pub mod model;
+pub mod movers;
 mod moving;
 mod nodes;
 mod oddities;

@@ -22,6 +22,9 @@ use super::primitives::PrimitiveReader;
 /// Distance of a squared quaternion length from 1 from which on it deserves a warning.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
+/// Code of the warning that one scene of several is baked.
+pub(super) const OTHER_SCENES: &str = "other-scenes-ignored";
+
 /// Flattens the scene into instances, lights and cameras of `scene`; gives the count of degenerate triangles.
 ///
 /// Errors on nodes that do not form trees, are too deep or too many, and on whatever their meshes hold.
@@ -57,10 +60,10 @@ pub(super) fn flatten(
 }
 
 /// The root nodes of the default scene, else of the first, else all nodes without a parent.
-fn scene_roots(context: &mut Context<'_>) -> Result<Vec<Index<Node>>> {
+pub(super) fn scene_roots(context: &mut Context<'_>) -> Result<Vec<Index<Node>>> {
     let root = context.root;
     if root.scenes.len() > 1 {
-        context.warnings.add("other-scenes-ignored", || {
+        context.warnings.add(OTHER_SCENES, || {
             format!("the file has {} scenes, and the default one is baked", root.scenes.len())
         });
     }

@@ -7,6 +7,7 @@ mod details;
 mod document_builder;
 mod geometry;
 mod hostile;
+mod movers;
 mod moving;
 mod nodes;
 mod textures;
