@@ -21,6 +21,7 @@ mod junit;
 pub mod kinds;
 mod lighting;
 mod logging;
+mod movers;
 mod objects;
 mod outputs;
 pub mod pages;

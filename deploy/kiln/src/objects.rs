@@ -1,14 +1,14 @@
 //! Objects beside a bake: files that the command line names, and where they stand.
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use lightkiln_client::bake::{Beside, ClientKinds, LoadedBake};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::scene::{Object, ObjectShape, Stance, Texture};
 use lightkiln_proto::content::Draw;
-use lightkiln_proto::words::object_from_text;
+use lightkiln_proto::words::{object_from_text, stance_to_text};
 use lightkiln_worker::objects::ObjectFile;
 use lightkiln_worker::scene::{Bundle, Limits};
 
@@ -30,6 +30,21 @@ pub fn parse_object(text: &str) -> std::result::Result<ObjectArgument, String> {
 }
 
 impl ObjectArgument {
+    /// That of a file at a place.
+    pub fn new(file: PathBuf, stance: Stance) -> Self {
+        Self { file, stance }
+    }
+
+    /// The file, or the folder of its bundle.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// Words of a command line that [`parse_object`] reads as that object.
+    pub fn words(&self) -> String {
+        format!("{} {}", self.file.display(), stance_to_text(&self.stance)).trim_end().to_owned()
+    }
+
     /// Reads the file, or the bundle of an object's own bake.
     pub fn beside(&self, kinds: &ClientKinds) -> Result<Beside> {
         if !self.file.is_dir() {

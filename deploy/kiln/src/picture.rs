@@ -267,20 +267,8 @@ impl PictureArguments {
         both(!self.look.light.is_empty() && path.first_lights().is_some(), "--light")
     }
 
-    /// Draws the bake and writes it as PNG; says on standard error what was chosen and who drew.
-    pub fn draw(
-        &self,
-        kinds: &ClientKinds,
-        lighting: &LightArguments,
-        source: &Source,
-        png: &Path,
-    ) -> Result<()> {
-        let bake = self.loaded(source, kinds)?;
-        let view = self.view(&bake, lighting, None)?;
-        Ok(self.write_all(&bake, &view, None, png).map(|_| ())?)
-    }
-
-    /// As [`Self::draw`], with as much of the light as is asked for, along a path, with objects.
+    /// Draws the bake and writes it as PNG, with as much of the light as is asked for, along a path, with objects; says on standard error what was
+    /// chosen and who drew.
     pub fn draw_reel(
         &self,
         mut reel: Reel,

@@ -82,6 +82,13 @@ pub struct Reel {
 }
 
 impl Reel {
+    /// One picture with objects, of all light.
+    pub fn of_objects(objects: &[ObjectArgument], kinds: &ClientKinds) -> Result<Self> {
+        let read = |object: &ObjectArgument| Ok((object.beside(kinds)?, object.stance));
+        let objects = objects.iter().map(read).collect::<Result<_>>()?;
+        Ok(Self { objects, ..Self::default() })
+    }
+
     /// Takes its objects, and their stances.
     pub fn take_objects(&mut self) -> (Vec<Beside>, Vec<Stance>) {
         std::mem::take(&mut self.objects).into_iter().unzip()
@@ -129,8 +136,7 @@ impl ReelArguments {
             ))
             .try_this("--object FILE once for each, in the order of the keys"));
         }
-        let read = |object: &ObjectArgument| Ok((object.beside(kinds)?, object.stance));
-        let objects = self.object.iter().map(read).collect::<Result<_>>()?;
+        let Reel { objects, .. } = Reel::of_objects(&self.object, kinds)?;
         let is_bounded = self.max_bytes.is_some() || self.max_memory.is_some();
         let bounded = Budget {
             bytes: self.max_bytes.unwrap_or(u64::MAX),

@@ -12,6 +12,8 @@ use crate::failure::{Failure, Result};
 
 /// Environment variables of this prefix and a setting's name in capitals set it.
 const ENVIRONMENT_PREFIX: &str = "KILN_SET_";
+/// Setting that every kind has.
+pub const PRESET: &str = "preset";
 /// Environment variable that names the preset.
 const PRESET_VARIABLE: &str = "KILN_PRESET";
 /// Environment variable that names the kind of bake.
@@ -38,6 +40,17 @@ pub struct Wanted {
 }
 
 impl Wanted {
+    /// A kind with settings, once these are checked.
+    pub fn new(kind: &'static dyn Kind, settings: Map<String, Value>) -> Result<Self> {
+        let settings = Value::Object(settings);
+        kind.resolve(&settings).map_err(|error| {
+            let step =
+                format!("'kiln settings --kind {}', which lists every setting with its range", kind.name());
+            Failure::bad_input("the settings cannot be used").caused_by(&error).try_this(step)
+        })?;
+        Ok(Self { kind, settings })
+    }
+
     /// Writes kind and settings into a request.
     pub fn set(&self, bake: &mut NewBake) {
         self.kind.name().clone_into(&mut bake.kind);
@@ -82,31 +95,30 @@ impl SettingsArguments {
             if name == KIND_VARIABLE {
                 kind.get_or_insert(value);
             } else if name == PRESET_VARIABLE {
-                settings.insert("preset".into(), Value::String(value));
+                settings.insert(PRESET.into(), Value::String(value));
             } else if let Some(setting) = name.strip_prefix(ENVIRONMENT_PREFIX) {
                 settings.insert(setting.to_lowercase(), parse_value(&value));
             }
         }
         if let Some(preset) = self.preset {
             let name = preset.to_possible_value().map(|value| value.get_name().to_owned());
-            settings.insert("preset".into(), name.into());
+            settings.insert(PRESET.into(), name.into());
         }
-        for assignment in &self.set {
-            let Some((name, value)) = assignment.split_once('=') else {
-                let wrong = format!("--set '{assignment}' is not of the form SETTING=VALUE");
-                return Err(Failure::bad_input(wrong).try_this("e.g. --set transport_rays=512"));
-            };
-            settings.insert(name.trim().to_owned(), parse_value(value.trim()));
-        }
-        let settings = Value::Object(settings);
-        let kind = kind_named(kinds, kind.as_deref().unwrap_or_default())?;
-        kind.resolve(&settings).map_err(|error| {
-            let step =
-                format!("'kiln settings --kind {}', which lists every setting with its range", kind.name());
-            Failure::bad_input("the settings cannot be used").caused_by(&error).try_this(step)
-        })?;
-        Ok(Wanted { kind, settings })
+        assign(&mut settings, "--set", &self.set)?;
+        Wanted::new(kind_named(kinds, kind.as_deref().unwrap_or_default())?, settings)
     }
+}
+
+/// Sets each `SETTING=VALUE` that an option gives.
+pub fn assign(settings: &mut Map<String, Value>, option: &str, given: &[String]) -> Result<()> {
+    for assignment in given {
+        let Some((name, value)) = assignment.split_once('=') else {
+            let wrong = format!("{option} '{assignment}' is not of the form SETTING=VALUE");
+            return Err(Failure::bad_input(wrong).try_this(format!("e.g. {option} transport_rays=512")));
+        };
+        settings.insert(name.trim().to_owned(), parse_value(value.trim()));
+    }
+    Ok(())
 }
 
 /// The kind of that name; the default for an empty one.

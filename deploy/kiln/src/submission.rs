@@ -9,11 +9,14 @@ use lightkiln_client::fetch::ApiClient;
 use lightkiln_proto::api::{Bake, BakeLimits, BakeState, MAX_CHUNK_BYTES, Needs, NewBake, SCENE_PART_BYTES};
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::problem::RetryClass;
+use lightkiln_worker::scene::movers::{MoverError, MoverNodes, Split, split};
 use lightkiln_worker::scene::{Bundle, ImportError, Limits};
 use serde_json::Value;
 
 use crate::failure::{Exit, Failure, Result};
 
+/// The word for all nodes that an animation moves.
+const ANIMATED: &str = "animated";
 /// Longest name of a bake.
 const NAME_CHARS_MAX: usize = 200;
 /// Bakes of one commit that may have failed or been cancelled before. More → a commit can be tried more often.
@@ -96,7 +99,23 @@ impl PackedScene {
             }
         })?;
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        Ok(Self { name: stem.chars().take(NAME_CHARS_MAX).collect(), bytes })
+        Ok(Self::new(&stem, bytes))
+    }
+
+    /// A packed scene under a name.
+    pub fn new(name: &str, bytes: Vec<u8>) -> Self {
+        Self { name: name.chars().take(NAME_CHARS_MAX).collect(), bytes }
+    }
+
+    /// The scene without nodes that move, and these.
+    pub fn split(self, nodes: &MoverNodes) -> Result<(Self, Split)> {
+        let limits = Limits::default();
+        let bundle = Bundle::from_bytes(self.bytes, &limits).map_err(MoverError::from);
+        let split = bundle.and_then(|bundle| split(&bundle, nodes, &limits));
+        let mut split = split.map_err(|error| {
+            Failure::bad_input(format!("the scene {} cannot be taken apart", self.name)).caused_by(&error)
+        })?;
+        Ok((Self::new(&self.name, std::mem::take(&mut split.rest)), split))
     }
 
     /// The scene of a farm's bake, which the farm has kept packed.
@@ -160,6 +179,13 @@ impl PackedScene {
         set(&mut bake);
         Ok(bake)
     }
+}
+
+/// The nodes of these names, if there are some; one name stands for all that are animated.
+pub fn nodes_that_move(mut names: Vec<String>) -> Option<MoverNodes> {
+    let all = names.len();
+    names.retain(|name| name != ANIMATED);
+    (all > 0).then_some(MoverNodes { animated: names.len() < all, names })
 }
 
 /// The same for the same commit, scene and settings. A digest: commits may be named by anything.

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use lightkiln_client::ClientError;
 use lightkiln_client::fetch::{REPORT_FILE, write_atomically};
+use lightkiln_client::lights::quoted;
 use lightkiln_proto::api::Bake;
 use lightkiln_proto::kinds::{Figures, Kinds, Warning};
 use lightkiln_proto::manifest::{Manifest, ManifestError};
@@ -51,6 +52,9 @@ pub struct Summary {
     pub stages: BTreeMap<String, f64>,
     /// Warnings of the scene's import, and of a bake that came out worse than its settings ask for.
     pub warnings: Vec<Warning>,
+    /// Bakes of the objects that move through it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub movers: Vec<MoverSummary>,
     /// The bake held against the path tracer, if that was wanted.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub evaluation: Option<Evaluation>,
@@ -88,6 +92,7 @@ impl Summary {
             elapsed_secs: elapsed.as_secs_f64(),
             stages: stages.map(|stage| (stage_name(&stage.kind), stage.elapsed_ms as f64 / 1e3)).collect(),
             warnings: kind.warnings(manifest)?,
+            movers: Vec::new(),
             evaluation: None,
         })
     }
@@ -104,6 +109,51 @@ impl Summary {
             }
         };
         words
+    }
+}
+
+/// A mover's bake in the object of `bake --json`: its keys are a contract.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MoverSummary {
+    /// Name of the node.
+    pub node: String,
+    /// Bake id on its server.
+    pub bake: String,
+    /// Bundle written.
+    pub out: String,
+    /// Words of `--object` that put it where the scene has it.
+    pub object: String,
+    /// Tasks run for this bake.
+    pub tasks_run: u64,
+    /// Tasks whose result was there already.
+    pub tasks_reused: u64,
+    /// Bytes of all chunks.
+    pub bytes_total: u64,
+}
+
+impl MoverSummary {
+    /// That of a node's finished bake, which words of `--object` put where the scene has it.
+    pub fn of(node: &str, object: String, done: &Summary) -> Self {
+        Self {
+            node: node.to_owned(),
+            bake: done.bake.clone(),
+            out: done.out.clone(),
+            object,
+            tasks_run: done.tasks_run,
+            tasks_reused: done.tasks_reused,
+            bytes_total: done.bytes_total,
+        }
+    }
+
+    /// A line for people.
+    pub fn words(&self) -> String {
+        let Self { node, object, tasks_run, tasks_reused, bytes_total, .. } = self;
+        let done = match (tasks_run, tasks_reused) {
+            (0, all) => format!("all {all} tasks were done before"),
+            (run, 0) => format!("{run} tasks run"),
+            (run, reused) => format!("{run} tasks run, {reused} were done before"),
+        };
+        format!("mover {node}: {bytes_total} bytes, {done}\n  --object {}\n", quoted(object))
     }
 }
 

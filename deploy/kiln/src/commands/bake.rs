@@ -19,11 +19,14 @@ use crate::following::follow;
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::lighting::LightArguments;
+use crate::movers::{MoverArguments, Parted};
+use crate::objects::ObjectArgument;
 use crate::outputs::{check_folder, check_png};
 use crate::picture::PictureArguments;
-use crate::settings::SettingsArguments;
+use crate::reel::Reel;
+use crate::settings::{SettingsArguments, Wanted};
 use crate::submission::{LimitArguments, PackedScene, SceneArguments};
-use crate::summary::complete_report;
+use crate::summary::{MoverSummary, Summary, complete_report};
 
 /// Arguments of `kiln bake`.
 #[derive(Args, Debug)]
@@ -36,7 +39,9 @@ pub struct Arguments {
     out: Option<PathBuf>,
     #[command(flatten)]
     settings: SettingsArguments,
-    /// Draws a picture of the bake
+    #[command(flatten)]
+    movers: MoverArguments,
+    /// Draws a picture of the bake, with its movers where the scene has them
     #[arg(long, value_name = "PNG")]
     preview: Option<PathBuf>,
     #[command(flatten)]
@@ -68,7 +73,8 @@ pub struct Arguments {
     #[command(flatten)]
     wanted: EvaluationArguments,
     /// Ends with one JSON object on standard output: bake, scene, out, kind, tasks_run, tasks_reused, rays_closest,
-    /// rays_occlusion, rays_linking, bytes_total, elapsed_secs, stages, warnings (code, message, try_setting), and the kind's own figures; with --evaluate also evaluation
+    /// rays_occlusion, rays_linking, bytes_total, elapsed_secs, stages, warnings (code, message, try_setting), and the kind's own figures; with --mover also movers (node, bake, out, object, tasks_run,
+    /// tasks_reused, bytes_total), with --evaluate also evaluation
     #[arg(long)]
     json: bool,
 }
@@ -89,22 +95,36 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     check_folder(&out)?;
     arguments.preview.as_deref().map_or(Ok(()), check_png)?;
     let scene = PackedScene::read(&arguments.scene)?;
+    let Parted { scene, wanted, movers, warnings } =
+        arguments.movers.part(&kinds.contract, scene, wanted, &out)?;
     let interrupt = Interrupt::listen()?;
     let farm = Place::open(&arguments, kinds, &interrupt)?;
     let client = farm.patient(arguments.trust.connect(farm.url(), &interrupt)?, &arguments.patience);
-    let bake = scene.submit(&client, |bake| {
-        wanted.set(bake);
-        arguments.limits.set(bake);
-        farm.reserve(bake);
-    })?;
-    let bake = follow(&client, &bake.id, &interrupt, || farm.check())
-        .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
     let scene_name = arguments.scene.path.display().to_string();
-    let (mut summary, _) = write_bundle(&kinds.contract, &client, &bake, &scene_name, &out, started)?;
-    let explained = if arguments.explain { explanation(&client, &bake.id)? } else { String::new() };
+    let bake = |scene: &PackedScene, wanted: &Wanted, out: &Path, started: Instant| -> Result<Summary> {
+        let bake = scene.submit(&client, |bake| {
+            wanted.set(bake);
+            arguments.limits.set(bake);
+            farm.reserve(bake);
+        })?;
+        let bake = follow(&client, &bake.id, &interrupt, || farm.check())
+            .map_err(|failure| wind_down(failure, &farm, &client, &bake.id))?;
+        Ok(write_bundle(&kinds.contract, &client, &bake, &scene_name, out, started)?.0)
+    };
+    // Objects first: they are small, and whatever is wrong with one is told soon.
+    let mut moving = Vec::new();
+    for mover in &movers {
+        say!("mover {}", mover.node);
+        let done = bake(&mover.scene, &mover.wanted, mover.object.file(), Instant::now())?;
+        moving.push(MoverSummary::of(&mover.node, mover.object.words(), &done));
+    }
+    let mut summary = bake(&scene, &wanted, &out, started)?;
+    summary.movers = moving;
+    summary.warnings.splice(0..0, warnings);
+    let explained = if arguments.explain { explanation(&client, &summary.bake)? } else { String::new() };
     drop(farm);
     let source = Source::bundle(&out)?;
-    let noted = NotedScene::of(&arguments.scene, &out);
+    let noted = NotedScene::of(&arguments.scene, &arguments.movers.mover, &out);
     complete_report(&out, &noted, &summary)?;
     // The bake is done: whatever fails from here on, its place and its figures are told.
     let look = || -> Result<()> {
@@ -115,7 +135,9 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
             complete_report(&out, &noted, &summary)?;
         }
         if let Some(png) = &arguments.preview {
-            arguments.picture.draw(&kinds.client, &arguments.lighting, &source, png)?;
+            let objects: Vec<ObjectArgument> = movers.iter().map(|mover| mover.object.clone()).collect();
+            let reel = Reel::of_objects(&objects, &kinds.client)?;
+            arguments.picture.draw_reel(reel, &kinds.client, &arguments.lighting, &source, png)?;
             say!("picture: {}", png.display());
         }
         Ok(())
@@ -123,6 +145,7 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let looked_at = look();
     eprint!("{}{}", printable(&explained), printable(&summary.words()));
     say!("bundle: {}", out.display());
+    summary.movers.iter().for_each(|mover| eprint!("{}", printable(&mover.words())));
     if let Some(evaluation) = &summary.evaluation {
         eprint!("{}", printable(&words(evaluation)));
     }

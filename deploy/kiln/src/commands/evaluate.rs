@@ -13,7 +13,8 @@ use super::site::{evaluation, stills};
 use crate::arguments::BakeArgument;
 use crate::console::{printable, put_json, say};
 use crate::evaluation::{
-    EvaluationArguments, check, draw, measure, scene_of_bundle, words, write_dump, write_page, write_pixels,
+    EvaluationArguments, check, draw, measure, packed_scene_of_bundle, words, write_dump, write_page,
+    write_pixels,
 };
 use crate::failure::{EXIT_CODES, Failure, Result};
 use crate::interrupt::Interrupt;
@@ -113,7 +114,7 @@ fn scene_of(arguments: &Arguments, farm: Option<&(ApiClient, String)>) -> Result
             PackedScene::read(&SceneArguments { path: path.clone(), root: arguments.root.clone() })
         }
         (None, Some((client, id))) => PackedScene::of_bake(client, &client.bake(id)?),
-        (None, None) => PackedScene::read(&scene_of_bundle(arguments.source.folder())?),
+        (None, None) => packed_scene_of_bundle(arguments.source.folder()),
     }
 }
 

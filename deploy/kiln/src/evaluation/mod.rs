@@ -21,5 +21,5 @@ pub use html::{FIGURES, PAGE, write_page};
 pub use limits::check;
 pub use measure::measure;
 pub use pictures::draw;
-pub use scene::{NotedScene, scene_of_bundle};
+pub use scene::{NotedScene, packed_scene_of_bundle};
 pub use table::{Evaluation, words};

@@ -8,30 +8,45 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::failure::{Failure, Result};
-use crate::submission::SceneArguments;
+use crate::submission::{PackedScene, SceneArguments, nodes_that_move};
 
 /// Where a scene is, seen from a bundle of it.
 #[derive(Clone, Debug, Serialize)]
 pub struct NotedScene {
     scene_path: Option<String>,
     scene_root: Option<String>,
+    /// Nodes that were left out of it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    scene_movers: Vec<String>,
 }
 
 impl NotedScene {
     /// That of a scene.
-    pub fn of(scene: &SceneArguments, bundle: &Path) -> Self {
+    pub fn of(scene: &SceneArguments, movers: &[String], bundle: &Path) -> Self {
         let scene_root = scene.root.as_ref().and_then(|root| relative_path(bundle, root));
-        Self { scene_path: relative_path(bundle, &scene.path), scene_root }
+        let scene_movers = movers.to_vec();
+        Self { scene_path: relative_path(bundle, &scene.path), scene_root, scene_movers }
     }
 }
 
-/// The scene that a bundle was baked from, as its report notes it.
+/// The scene that a bundle was baked from, as its report notes it, without the nodes that were left out.
+pub fn packed_scene_of_bundle(bundle: &Path) -> Result<PackedScene> {
+    let scene = PackedScene::read(&scene_of_bundle(bundle)?)?;
+    let movers = report_of(bundle).map(|report| report["scene_movers"].clone());
+    let movers = movers.and_then(|movers| serde_json::from_value(movers).ok()).unwrap_or_default();
+    Ok(if let Some(nodes) = nodes_that_move(movers) { scene.split(&nodes)?.0 } else { scene })
+}
+
+fn report_of(bundle: &Path) -> Option<Value> {
+    serde_json::from_slice(&fs::read(bundle.join(REPORT_FILE)).ok()?).ok()
+}
+
+/// The scene's file, as the bundle's report notes it.
 ///
 /// Errors when the report names none, as that of a fetched bundle, or when the file is gone.
-pub fn scene_of_bundle(bundle: &Path) -> Result<SceneArguments> {
+fn scene_of_bundle(bundle: &Path) -> Result<SceneArguments> {
     let give = "--scene SCENE, with the file that was baked";
-    let report = fs::read(bundle.join(REPORT_FILE)).ok();
-    let report: Option<Value> = report.and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    let report = report_of(bundle);
     let noted =
         |name: &str| report.as_ref().and_then(|report| report[name].as_str()).map(|way| bundle.join(way));
     let Some(path) = noted("scene_path") else {
@@ -73,7 +88,7 @@ mod tests {
         fs::write(&scene, "glTF").unwrap();
         let noted = |root: Option<&Path>| {
             let scene = SceneArguments { path: scene.clone(), root: root.map(Path::to_owned) };
-            serde_json::to_string(&NotedScene::of(&scene, &bundle)).unwrap()
+            serde_json::to_string(&NotedScene::of(&scene, &[], &bundle)).unwrap()
         };
         assert!(noted(None).contains("../../scenes/a.glb"), "{}", noted(None));
         assert!(scene_of_bundle(&bundle).unwrap_err().to_string().contains("does not say"));

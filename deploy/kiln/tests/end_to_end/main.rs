@@ -20,6 +20,7 @@ mod full_disk;
 mod limits;
 mod losses;
 mod manners;
+mod movers;
 #[path = "../../../../server/tests/parts/mod.rs"]
 mod parts;
 mod patience;
