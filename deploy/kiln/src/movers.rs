@@ -71,6 +71,11 @@ impl MoverArguments {
         let Some(nodes) = nodes_that_move(self.mover.clone()) else {
             return Ok(Parted { scene, wanted, movers: Vec::new(), warnings: Vec::new() });
         };
+        if out.file_name().is_none() {
+            let what =
+                format!("bundles of movers have names after that of --out, and {} has none", out.display());
+            return Err(Failure::bad_input(what).try_this("--out with a name, as ./room.kiln"));
+        }
         let scene_wanted = wanted_beside_objects(&wanted)?;
         let has_more = scene_wanted.settings != wanted.settings;
         let wanted = self.of_objects(kinds, &wanted)?;

@@ -9,8 +9,10 @@ use super::surroundings::Surroundings;
 
 /// Nodes along a side of the unfolded octahedron. More → edges of what is around as sharp as caps are narrow, time and memory by the square.
 pub const HIDDEN_SIDE: u32 = 17;
-/// Widths of caps, each of four times the solid angle of the one before.
-pub const HIDDEN_WIDTHS: u32 = 4;
+/// Widths of caps: the widest are halves of the sphere.
+pub const HIDDEN_WIDTHS: u32 = 6;
+/// Solid angle of caps of a width, of that of the one before.
+const WIDER: f32 = 2.188_5;
 /// Half width of a cap's rim, in cosine.
 pub const RIM: f32 = 0.06;
 /// Solid angle of the narrowest caps as a share of half a sphere: of a half angle of 0.2 rad.
@@ -38,7 +40,7 @@ pub fn hidden_axes() -> impl Iterator<Item = Vec3> {
 
 /// Cosine of the half angle of caps of a width.
 pub fn hidden_cosine(width: u32) -> f32 {
-    1.0 - NARROWEST * (1_u32 << (2 * width)) as f32
+    1.0 - NARROWEST * (0..width).fold(1.0, |share, _| share * WIDER)
 }
 
 impl Hidden {
@@ -65,13 +67,17 @@ impl Hidden {
         if self.means.is_empty() {
             return Vec3::ZERO;
         }
-        let width = (solid_angle / (TAU * NARROWEST)).max(1.0);
-        let narrower = (0.5 * libm::log2f(width)).floor().min((HIDDEN_WIDTHS - 2) as f32);
-        let wider = ((width / (1_u32 << (2 * narrower as u32)) as f32 - 1.0) / 3.0).min(1.0);
+        let mut width = (solid_angle / (TAU * NARROWEST)).max(1.0);
+        let mut narrower = 0;
+        while narrower < HIDDEN_WIDTHS - 2 && width >= WIDER {
+            width /= WIDER;
+            narrower += 1;
+        }
+        let wider = ((width - 1.0) / (WIDER - 1.0)).min(1.0);
         let at = unfolded(axis);
         let first = at.floor().min(Vec2::splat((HIDDEN_SIDE - 2) as f32));
         let share = at - first;
-        let node = (narrower as u32 * HIDDEN_SIDE + first.y as u32) * HIDDEN_SIDE + first.x as u32;
+        let node = (narrower * HIDDEN_SIDE + first.y as u32) * HIDDEN_SIDE + first.x as u32;
         let mut sum = Vec4::ZERO;
         for corner in 0..8_u32 {
             let [x, y, z] = [corner & 1, corner >> 1 & 1, corner >> 2];

@@ -11,10 +11,10 @@
 // Means over caps, viewpoint after viewpoint.
 @group(0) @binding(5) var<storage, read_write> over_caps: array<vec4f>;
 // Axes of caps; and of each width the cosine.
-@group(0) @binding(6) var<uniform> axes: array<vec4f, 293>;
+@group(0) @binding(6) var<uniform> axes: array<vec4f, 295>;
 
 const AXES = 289u;
-const WIDTHS = 4u;
+const WIDTHS = 6u;
 const RIM = 0.06;
 // Share of walks that end at backs above which a viewpoint lies in geometry.
 const BACKS_MAX = 0.25;

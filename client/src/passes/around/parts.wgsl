@@ -24,7 +24,7 @@ struct PartShare {
 @group(0) @binding(5) var<storage, read> lambda: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> part_light: array<vec4f>;
 
-const CAPS = 1156u;
+const CAPS = 1734u;
 
 @compute @workgroup_size(64)
 fn light_parts(@builtin(global_invocation_id) thread: vec3u) {

@@ -61,9 +61,11 @@ const BLEND_FROM = 0.9;
 const FADE_H = 10.0;
 const REACH_H = 12.0;
 const TAU = 6.28318530717959;
-// Means over caps: nodes along a side of the unfolded octahedron, widths, and the narrowest as a share of half a sphere.
+// Means over caps: nodes along a side of the unfolded octahedron, widths and their ratio in solid angle, and the narrowest as a share of half a
+// sphere.
 const HIDDEN_SIDE = 17u;
-const HIDDEN_WIDTHS = 4u;
+const HIDDEN_WIDTHS = 6u;
+const WIDER = 2.1885;
 const NARROWEST = 0.019933422;
 // Numbers of light of a part: its radiance, then what it hides. Before all light stand, of each part, unit normal and offset of a plane behind which
 // nothing of it is seen, the normal 0 where there is none; then steps of F and of the solid angle.
@@ -93,15 +95,19 @@ fn signs_of(at: vec2f) -> vec2f {
 
 // Mean radiance that a part hides over a cap of a solid angle about an axis.
 fn hidden(first: u32, axis: vec3f, solid_angle: f32) -> vec3f {
-    let width = max(solid_angle / (TAU * NARROWEST), 1.0);
-    let narrower = min(floor(0.5 * log2(width)), f32(HIDDEN_WIDTHS - 2u));
-    let wider = clamp((width / f32(1u << (2u * u32(narrower))) - 1.0) / 3.0, 0.0, 1.0);
+    var width = max(solid_angle / (TAU * NARROWEST), 1.0);
+    var narrower = 0u;
+    while narrower < HIDDEN_WIDTHS - 2u && width >= WIDER {
+        width /= WIDER;
+        narrower++;
+    }
+    let wider = min((width - 1.0) / (WIDER - 1.0), 1.0);
     let on = axis / max(abs(axis.x) + abs(axis.y) + abs(axis.z), 1e-30);
     let flat = select(on.xy, (1.0 - abs(on.yx)) * signs_of(on.xy), on.z < 0.0);
     let at = max((0.5 + 0.5 * flat) * f32(HIDDEN_SIDE - 1u), vec2f(0.0));
     let low = min(floor(at), vec2f(f32(HIDDEN_SIDE - 2u)));
     let share = at - low;
-    let node = first + 1u + (u32(narrower) * HIDDEN_SIDE + u32(low.y)) * HIDDEN_SIDE + u32(low.x);
+    let node = first + 1u + (narrower * HIDDEN_SIDE + u32(low.y)) * HIDDEN_SIDE + u32(low.x);
     var sum = vec3f(0.0);
     for (var corner = 0u; corner < 8u; corner++) {
         let bits = vec3u(corner & 1u, (corner >> 1u) & 1u, corner >> 2u);

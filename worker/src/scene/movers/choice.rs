@@ -60,9 +60,10 @@ pub(super) fn choose(
         return Err(MoverError::NothingLeft);
     }
     let places = places_of(root, nodes);
+    let below: Vec<Range<usize>> = movers.iter().map(|top| subtree(nodes, *top)).collect();
     for (at, owner) in owners.iter().enumerate() {
         let Some(owner) = owner else { continue };
-        check_skin(root, nodes, (at, &subtree(nodes, movers[*owner])), &places)?;
+        check_skin(root, nodes, (at, &below[*owner]), &places)?;
     }
     Ok(Choice { movers, owners })
 }

@@ -112,7 +112,15 @@ impl<'a> Part<'a> {
     ) -> Result<Map<String, Value>> {
         let old = self.nodes[at].node;
         let stated = writer.stated("nodes", old)?;
-        let mut node = picked(stated, &["extras"]);
+        let mut node = match &stated["extras"] {
+            // What the import reads of them alone.
+            extras if self.top.is_some() => {
+                let read = picked(extras, &["kiln_lit"]);
+                let extras = (!read.is_empty()).then(|| ("extras".to_owned(), json!(read)));
+                extras.into_iter().collect()
+            }
+            _ => picked(stated, &["extras"]),
+        };
         match self.top {
             Some((top, object_from_node)) if top == at => {
                 let matrix = DAffine3 { matrix3: object_from_node, translation: DVec3::ZERO };

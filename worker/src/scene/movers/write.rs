@@ -97,7 +97,7 @@ impl<'a> Writer<'a> {
             return Ok(known);
         }
         let stated = self.stated("meshes", old)?;
-        let mut mesh = picked(stated, &["name", "weights"]);
+        let mut mesh = picked(stated, if self.is_object { &["weights"] } else { &["name", "weights"] });
         let mut primitives = Vec::new();
         for (index, primitive) in stated["primitives"].as_array().into_iter().flatten().enumerate() {
             let root = self.root;
