@@ -24,8 +24,8 @@ pub const PIXELS: &str =
     concat!(include_str!("volume.wgsl"), include_str!("sights.wgsl"), include_str!("pixels.wgsl"));
 /// The shader of light that is changed before it bounces.
 pub const FEED_SHADER: &str = include_str!("feed.wgsl");
-/// Largest difference from the reference, relative to the largest value, for all but [`OUTLIERS`]: sums over some parts of numbers of either
-/// sign, and shadow maps' rounding.
-pub const TOLERANCE: f32 = 2e-3;
-/// Share of receivers that may differ more: a texel of what an object sees falls to either side of an edge by one rounding.
-pub const OUTLIERS: f32 = 5e-3;
+/// Largest difference of light at receivers from the processor's with objects in it, as a root mean square of its mean: sums over some parts of
+/// numbers of either sign, bounces that end elsewhere, and shadow maps' rounding.
+pub const TOLERANCE: f64 = 2e-3;
+/// Share of pixels that may differ by more than that of shading: a texel of what an object sees falls to either side of an edge by one rounding.
+pub const OUTLIERS: f64 = 2e-3;
