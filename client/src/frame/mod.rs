@@ -119,7 +119,7 @@ struct Stale {
     direct: bool,
     /// Cascades alone.
     cascades: bool,
-    /// What objects with bakes of their own see.
+    /// Sights of objects with bakes of their own.
     sights: bool,
     /// E_ind, which is to be black before the next bounce.
     light: bool,

@@ -1,4 +1,4 @@
-//! What objects give and take at the receivers of a lightmap, and what is around the receivers of one.
+//! Irradiance that objects give and take at the receivers of a lightmap, and that of what is around an object's.
 
 use glam::Vec4;
 

@@ -1,4 +1,4 @@
-//! What objects see past a bake's own surfaces, on the adapter: cubes like those of lamps, tile by tile in layers behind the lamps' own.
+//! Sights of objects past a bake's own surfaces, on the adapter: cubes like those of lamps, tile by tile in layers behind the lamps' own.
 
 use std::ops::Range;
 

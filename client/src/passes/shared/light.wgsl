@@ -52,7 +52,7 @@ const POINT = 0u;
 const SPOT = 1u;
 const SUN = 2u;
 const RECT = 3u;
-// What an object sees: no light, whose share tells what is in sight.
+// Sight of an object: no light, whose share tells what is in sight.
 const SIGHT = 4u;
 // Texels at a cascade's rim that the filter's reach may leave, and the part of its half side within which it fades in.
 const CASCADE_GUARD = 8.0;

@@ -1,4 +1,4 @@
-//! What objects change at receivers, on the adapter.
+//! Irradiance that objects change at receivers, on the adapter.
 
 use glam::Affine3A;
 use wgpu::ShaderStages as Stages;

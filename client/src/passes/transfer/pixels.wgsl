@@ -1,4 +1,4 @@
-// What objects change at pixels, with its bindings; joined behind `volume.wgsl` and `sights.wgsl`, in place of `unmoved.wgsl`.
+// Irradiance that objects change at pixels, with its bindings; joined behind `volume.wgsl` and `sights.wgsl`, in place of `unmoved.wgsl`.
 
 @group(2) @binding(4) var<storage, read> movers: Movers;
 @group(2) @binding(5) var<storage, read> codes: array<u32>;

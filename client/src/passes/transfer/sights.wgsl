@@ -1,4 +1,4 @@
-// What objects see: lights without light behind the others, whose faces are tiles of the last layers of shadow maps.
+// Sights of objects: lights without light behind the others, whose faces are tiles of the last layers of shadow maps.
 // Joined with `volume.wgsl`.
 
 // Texels along a face of what an object sees.

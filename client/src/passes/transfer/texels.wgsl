@@ -1,4 +1,4 @@
-// What objects change at receivers: sum of v h ΔE; twin: reference.rs. One thread per receiver.
+// Irradiance that objects change at receivers: sum of v h ΔE; twin: reference.rs. One thread per receiver.
 
 struct MovedNumbers {
     // Rows of the map from the receivers' space to the world.

@@ -1,4 +1,4 @@
-// What objects with volumes change in irradiance around them, before walls; twin: reference.rs, and `Standing` of the contract.
+// Irradiance that objects with volumes change around them, before walls; twin: reference.rs, and `Standing` of the contract.
 // Joined behind `shadow_map.wgsl`; whoever joins it binds `movers`, `codes` and `part_light`.
 
 struct MoverLevel {
