@@ -37,4 +37,14 @@ impl SettledWalks<'_> {
         let emitter = |emitter: u16| self.emitters.get(usize::from(emitter)).copied().unwrap_or_default();
         WalkLight::new(self.voxels, self.patches, &self.lambda, emitter)
     }
+
+    /// Likewise, of emitters what remains without such a share of each.
+    pub fn light_without(&self, shares: &[f32]) -> WalkLight<'_> {
+        let emitter = |emitter: u16| {
+            let emitter = usize::from(emitter);
+            let share = shares.get(emitter).copied().unwrap_or_default();
+            self.emitters.get(emitter).copied().unwrap_or_default() * (1.0 - share)
+        };
+        WalkLight::new(self.voxels, self.patches, &self.lambda, emitter)
+    }
 }

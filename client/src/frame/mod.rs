@@ -250,6 +250,7 @@ impl<'a> Frame<'a> {
         if scale != self.emitter_scale {
             self.emitter_scale = scale.to_vec();
             self.write_unshadowed();
+            self.place_movers()?;
         }
         Ok(())
     }
@@ -478,7 +479,7 @@ impl<'a> Frame<'a> {
             }
             if let Some(movers) = self.movers.as_ref().filter(|_| sights) {
                 let own = 0..self.bake.scene.own_draws();
-                self.shadow.record_sights(encoder, (&self.meshes, own), movers.len());
+                self.shadow.record_sights(encoder, (&self.meshes, own), &movers.drawn());
             }
             if lights || direct {
                 self.light.relit(encoder, &self.shadow);

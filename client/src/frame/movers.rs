@@ -1,5 +1,6 @@
 //! Objects with bakes of their own: each is lit by the bake around it, and changes its light and that of the others, bounce by bounce.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
@@ -11,7 +12,7 @@ use super::bounces::Bounces;
 use crate::bake::{LightPasses, LoadedBake, Mover, Unshadowed, emitter_radiance};
 use crate::error::{ClientError, Result};
 use crate::lights::Sky;
-use crate::movers::{is_long, is_open};
+use crate::movers::{Before, Emitters, ball_of, is_long, is_open};
 use crate::passes::around::AroundPass;
 use crate::passes::change::ChangePass;
 use crate::passes::gpu::Gpu;
@@ -19,7 +20,7 @@ use crate::passes::shade::ObjectShading;
 use crate::passes::shadow::ShadowPass;
 use crate::passes::stopwatch::{Recorder, Stopwatch};
 use crate::passes::transfer::reference::Sight;
-use crate::passes::transfer::{MovedPass, MoverTable};
+use crate::passes::transfer::{MovedPass, MoverTable, silhouette_plan};
 use crate::passes::walk::WalkTable;
 use crate::scene::Stance;
 
@@ -39,6 +40,7 @@ pub(super) struct Around {
     lambda_bytes: u64,
     /// At its receivers; none of a kind without.
     statics: Option<MovedPass>,
+    emitters: Emitters,
 }
 
 /// One of them.
@@ -47,10 +49,12 @@ struct Own {
     draws: [usize; 2],
     light: Box<dyn LightPasses>,
     around: AroundPass,
-    /// At its receivers, by the others; none without others.
+    /// At its receivers, by the others and by points of emitters.
     moved: Option<MovedPass>,
     change: Option<ChangePass>,
     bounces: Bounces,
+    /// Points of emitters before it.
+    points: usize,
 }
 
 impl Movers {
@@ -83,14 +87,11 @@ impl Movers {
             let lambda = light.lambda().ok_or_else(lacking)?;
             let around = AroundPass::new(gpu, &walks, (volume, parts), (&emitters, lambda), (&table, index))?;
             light.make_around(gpu, &around)?;
-            let mut moved = None;
-            if volumes.len() > 1 {
-                light.make_moved(gpu)?;
-                moved = light.moved().map(|at| MovedPass::new(gpu, shadow, &table, at, Some(index)));
-            }
+            light.make_moved(gpu)?;
+            let moved = light.moved().map(|at| MovedPass::new(gpu, shadow, &table, at, Some(index)));
             let change = light.feedback().map(|feedback| ChangePass::new(gpu, feedback)).transpose()?;
             let (bake, draws, bounces) = (own.clone(), *draws, Bounces::default());
-            each.push(Own { bake, draws, light, around, moved, change, bounces });
+            each.push(Own { bake, draws, light, around, moved, change, bounces, points: 0 });
         }
         let mut movers = Self { table, each, around: None };
         movers.around = Some(movers.around(gpu, (bake, walks), shadow, light)?);
@@ -108,7 +109,8 @@ impl Movers {
         light.make_moved(gpu)?;
         let statics = light.moved().map(|at| MovedPass::new(gpu, shadow, &self.table, at, None));
         let entries = bake.light.voxels().map_or(0, |(_, patches)| first_of_sky(patches));
-        Ok(Around { walks, lambda_bytes: (entries * size_of::<Vec4>()) as u64, statics })
+        let emitters = Emitters::of(&bake.scene);
+        Ok(Around { walks, lambda_bytes: (entries * size_of::<Vec4>()) as u64, statics, emitters })
     }
 
     /// Makes what is of other light of the bake around, for [`Movers::around`].
@@ -123,18 +125,18 @@ impl Movers {
         self.around(gpu, (bake, walks), shadow, light)
     }
 
-    /// Writes where objects of a bake stand.
+    /// Writes where objects of a bake stand, under such scales of its emitters.
     pub(super) fn set_places(
         &mut self,
         gpu: &Gpu,
         shadow: &ShadowPass,
         bake: &LoadedBake,
-        stances: &[Stance],
+        (stances, emitter_scale): (&[Stance], &[f32]),
     ) -> Result<()> {
         let places: Vec<Affine3A> =
             bake.movers.iter().map(|mover| mover.world_from_object(stances)).collect();
-        let mut plans = Vec::new();
-        for (own, place) in self.each.iter_mut().zip(&places) {
+        let (mut plans, mut before) = (Vec::new(), Vec::new());
+        for (index, (own, place)) in self.each.iter_mut().zip(&places).enumerate() {
             let Some(volume) = own.bake.light.volume() else { continue };
             let middle_m = place.transform_point3(volume.middle_m());
             plans.push(Sight::plan(&bake.scene, middle_m)?);
@@ -147,13 +149,21 @@ impl Movers {
                 .iter()
                 .zip(0..)
                 .fold(0, |open, (at_m, bit)| open | u32::from(is_open(*at_m)) << bit);
-            own.around.set(gpu, place, (seen_from.len() as u32, open));
+            let emitters = self.around.as_ref().map(|around| &around.emitters);
+            let of_emitters = emitters.map(|emitters| emitters.before(bake, emitter_scale, (volume, place)));
+            let Before { points, shares } = of_emitters.unwrap_or_default();
+            let plan = silhouette_plan(&points, ball_of(volume, place), bake.scene.manifest.bounds_m);
+            shadow.set_silhouettes(gpu, index, &plan.faces);
+            own.points = points.len();
+            before.push(points);
+            own.around.set(gpu, place, (seen_from.len() as u32, open), &shares);
             own.light.set_place(gpu, place);
             if let Some(moved) = &own.moved {
                 moved.set_place(gpu, place);
             }
         }
-        self.table.set(gpu, places.into_iter(), shadow.sight_places());
+        let each = places.into_iter().zip(before.iter().map(Vec::as_slice));
+        self.table.set(gpu, each, shadow.sight_places());
         shadow.set_sights(gpu, plans.iter());
         Ok(())
     }
@@ -161,6 +171,11 @@ impl Movers {
     /// Objects.
     pub(super) fn len(&self) -> usize {
         self.each.len()
+    }
+
+    /// Meshes of each, and how many points of emitters see it.
+    pub(super) fn drawn(&self) -> Vec<(Range<usize>, usize)> {
+        self.each.iter().map(|own| (own.draws[0]..own.draws[1], own.points)).collect()
     }
 
     /// Records the work that a change of lights asks for, with new shadow maps.
@@ -245,7 +260,8 @@ impl Frame<'_> {
     /// Writes where objects with bakes of their own stand, and what they see.
     pub(super) fn place_movers(&mut self) -> Result<()> {
         if let Some(movers) = &mut self.movers {
-            movers.set_places(&self.gpu, &self.shadow, &self.bake, &self.stances)?;
+            let light = (&self.stances[..], &self.emitter_scale[..]);
+            movers.set_places(&self.gpu, &self.shadow, &self.bake, light)?;
             self.stale.sights = true;
         }
         Ok(())

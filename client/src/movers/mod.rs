@@ -1,6 +1,8 @@
 //! A bake with objects that have bakes of their own, on the processor: each is lit by the bake around it, and changes the light of the bake and
 //! of the others, until nothing changes any more (METHOD.md §2.17).
 
+mod emitters;
+
 use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
@@ -13,7 +15,10 @@ use crate::bake::{Among, LitScene, LoadedBake, Mover, SettledLight, SettledRecei
 use crate::error::Result;
 use crate::passes::shade::{IndirectIrradiance, ShadeView, Surface};
 use crate::passes::transfer::reference::{Effect, Sight, change};
+use crate::passes::transfer::{Silhouettes, silhouette_plan};
 use crate::scene::Stance;
+
+pub(crate) use emitters::{Before, Emitters};
 
 /// Times that light goes to and fro between a bake and its objects, at most: each brings a share of an object's albedo times that of its
 /// surroundings times what it fills of their view.
@@ -36,6 +41,9 @@ struct Placed<'a> {
     volume: &'a TransferTable,
     world_from_object: Affine3A,
     sight: Sight,
+    silhouettes: Silhouettes,
+    /// Of each emitter of the bake the share for which those stand.
+    shares: Vec<f32>,
 }
 
 /// Light of an object.
@@ -48,13 +56,19 @@ struct Lit<'a> {
 }
 
 impl<'a> Standings<'a> {
-    /// Where stances have them.
-    pub fn new(bake: &'a LoadedBake, stances: &[Stance]) -> Result<Self> {
+    /// Where stances have them, under such scales of the bake's emitters.
+    pub fn new(bake: &'a LoadedBake, stances: &[Stance], emitter_scale: &[f32]) -> Result<Self> {
+        let emitters = if bake.movers.is_empty() { Emitters::default() } else { Emitters::of(&bake.scene) };
         let placed = bake.movers.iter().filter_map(|mover| Some((mover, mover.bake.light.volume()?)));
         let placed = placed.map(|(mover, volume)| {
             let world_from_object = mover.world_from_object(stances);
             let sight = Sight::from(&bake.scene, world_from_object.transform_point3(volume.middle_m()))?;
-            Ok(Placed { mover, volume, world_from_object, sight })
+            let Before { points, shares } =
+                emitters.before(bake, emitter_scale, (volume, &world_from_object));
+            let ball = ball_of(volume, &world_from_object);
+            let plan = silhouette_plan(&points, ball, bake.scene.manifest.bounds_m);
+            let silhouettes = Silhouettes::new(points, plan, (&mover.bake.scene, &world_from_object));
+            Ok(Placed { mover, volume, world_from_object, sight, silhouettes, shares })
         });
         Ok(Self { bake, placed: placed.collect::<Result<_>>()? })
     }
@@ -88,7 +102,7 @@ impl<'a> Standings<'a> {
 
     /// Light of the bake, without what objects add at its pixels, and that, after as many rounds as change it.
     fn balanced(&'a self, lit: &LitScene<'a>, limit: Limit) -> (SettledLight<'a>, Moved) {
-        let mut moved = Moved::default();
+        let mut moved = Moved { statics: Vec::new(), objects: self.given() };
         let mut settled = self.bake.light.settle(lit, &moved.among(), limit);
         if self.placed.is_empty() {
             return (settled, moved);
@@ -115,9 +129,9 @@ impl<'a> Standings<'a> {
         moved: &Moved,
         limit: Limit,
     ) -> Vec<Lit<'a>> {
-        let walked = settled.walks.as_ref().map(crate::bake::SettledWalks::light);
         let of = |(index, placed): (usize, &'a Placed<'a>)| {
-            let Placed { mover, volume, world_from_object, .. } = placed;
+            let Placed { mover, volume, world_from_object, shares, .. } = placed;
+            let walked = settled.walks.as_ref().map(|walks| walks.light_without(shares));
             let among = Among { world_from_scene: *world_from_object, ..Among::default() };
             let parts = mover.bake.light.voxels().map_or(0, |(_, patches)| patches.sky_parts);
             let viewpoints = Viewpoints::new(volume.box_m(), is_long(volume, world_from_object), |from_m| {
@@ -143,17 +157,19 @@ impl<'a> Standings<'a> {
         self.placed.iter().enumerate().map(of).collect()
     }
 
-    /// `Σ v ΔE` at the receivers of the bake and of the objects.
+    /// Irradiance of points of emitters at the receivers of each object by slot, W·m⁻².
+    fn given(&self) -> Vec<Vec<Vec4>> {
+        let of_object = |placed: &Placed<'_>| {
+            let given = |at_m, normal| placed.silhouettes.given(at_m, normal, normal);
+            at_receivers(&placed.mover.bake, placed.world_from_object, given)
+        };
+        self.placed.iter().map(of_object).collect()
+    }
+
+    /// `Σ v ΔE` at the receivers of the bake and of the objects, and what points of emitters give to these.
     fn moved(&self, effects: &[Effect<'_>]) -> Moved {
         let at = |bake: &LoadedBake, but: Option<usize>, place: Affine3A| {
-            let turn = Among { world_from_scene: place, ..Among::default() }.turn();
-            let Some(lightmap) = bake.light.lightmap(&bake.scene) else { return Vec::new() };
-            let receivers = lightmap.receivers.position_m.par_iter().zip(&lightmap.receivers.normal);
-            let at = |(at_m, normal): (&Vec4, &Vec4)| {
-                let normal = turn * normal.truncate();
-                change(effects, but, place.transform_point3(at_m.truncate()), normal, normal).extend(0.0)
-            };
-            receivers.map(at).collect()
+            at_receivers(bake, place, |at_m, normal| change(effects, but, at_m, normal, normal))
         };
         let of_object = |(index, placed): (usize, &Placed<'_>)| {
             at(&placed.mover.bake, Some(index), placed.world_from_object)
@@ -163,6 +179,17 @@ impl<'a> Standings<'a> {
             objects: self.placed.iter().enumerate().map(of_object).collect(),
         }
     }
+}
+
+/// Some irradiance at a bake's receivers by slot, of its place there: from position and normal.
+fn at_receivers(bake: &LoadedBake, place: Affine3A, of: impl Fn(Vec3, Vec3) -> Vec3 + Sync) -> Vec<Vec4> {
+    let turn = Among { world_from_scene: place, ..Among::default() }.turn();
+    let Some(lightmap) = bake.light.lightmap(&bake.scene) else { return Vec::new() };
+    let receivers = lightmap.receivers.position_m.par_iter().zip(&lightmap.receivers.normal);
+    let at = |(at_m, normal): (&Vec4, &Vec4)| {
+        of(place.transform_point3(at_m.truncate()), turn * normal.truncate()).extend(0.0)
+    };
+    receivers.map(at).collect()
 }
 
 /// Irradiance at an object's receivers by slot of what its viewpoints see, each receiver's by its place among them, W·m⁻².
@@ -183,6 +210,13 @@ pub(crate) fn is_long(volume: &TransferTable, world_from_object: &Affine3A) -> b
     2.0 * volume.half_side_m() * world_from_object.matrix3.x_axis.length() > LONG_M
 }
 
+/// Middle and radius of the ball around an object's bounds where it stands.
+pub(crate) fn ball_of(volume: &TransferTable, world_from_object: &Affine3A) -> (Vec3, f32) {
+    let [low, high] = volume.box_m().map(Vec3::from);
+    let scale = world_from_object.matrix3.x_axis.length();
+    (world_from_object.transform_point3(volume.middle_m()), 0.5 * scale * (high - low).length())
+}
+
 /// Nothing of the bake stands between two points, or the first lies in something.
 pub(crate) fn is_open(voxels: &VoxelTable, from_m: Vec3, to_m: Vec3) -> bool {
     let way_m = to_m - from_m;
@@ -192,9 +226,9 @@ pub(crate) fn is_open(voxels: &VoxelTable, from_m: Vec3, to_m: Vec3) -> bool {
 
 fn effects<'b>(placed: &'b [Placed<'_>], lights: &[Lit<'_>]) -> Vec<Effect<'b>> {
     let of = |(placed, light): (&'b Placed<'_>, &Lit<'_>)| {
-        let Placed { volume, world_from_object, sight, .. } = placed;
+        let Placed { volume, world_from_object, sight, silhouettes, .. } = placed;
         let (radiance, hidden) = (light.radiance.clone(), light.hidden.clone());
-        Effect { standing: Standing::new(volume, *world_from_object, radiance, hidden), sight }
+        Effect { standing: Standing::new(volume, *world_from_object, radiance, hidden), sight, silhouettes }
     };
     placed.iter().zip(lights).map(of).collect()
 }

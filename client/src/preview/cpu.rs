@@ -19,7 +19,7 @@ pub(super) fn render(prepared: &Prepared<'_>, exposure: Exposure) -> Result<Pict
     let Prepared { bake, scene, bounds_m, view, plan, sky, lod } = prepared;
     let scene: &LoadedScene = scene;
     let maps = draw(scene, plan);
-    let standings = Standings::new(bake, &view.objects)?;
+    let standings = Standings::new(bake, &view.objects, &view.emitter_scale)?;
     let lit = prepared.lit(&maps);
     let SettledLight { mut indirect, walks, bounces, converged } = standings.settle(&lit, view.limit);
     if view.walks.asks_for_voxels() && walks.is_none() {

@@ -69,7 +69,7 @@ pub fn light_receivers_among(
         },
     };
     let maps = draw(&prepared.scene, &prepared.plan);
-    let standings = Standings::new(bake, &view.objects)?;
+    let standings = Standings::new(bake, &view.objects, &view.emitter_scale)?;
     let settled = standings.at_receivers(&prepared.lit(&maps), view.limit);
     let lit_by = format!("the processor, slower than a graphics adapter ({reason})");
     Ok(LitReceivers { settled: settled.ok_or_else(|| without_receivers(bake))?, lit_by })

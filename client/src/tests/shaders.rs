@@ -224,13 +224,13 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "FeedNumbers": FeedNumbers { count, stride }
         "MixNumbers": MixNumbers { count, stride, viewpoint }
         "MovedNumbers": MovedNumbers { rows, count, stride, own, pad }
-        "Mover": MoverRow { rows, middle_m, half_side_m, scale, pad0, pad1, pad2, levels }
+        "Mover": MoverRow { rows, middle_m, half_side_m, scale, points, pad1, pad2, levels }
         "MoverLevel": MoverLevelRow { stops_m, outer, half_m, inner, nodes, first_part, part_count, first_code, pad }
-        "Movers": MoverNumbers { count, first_light, first_face, first_layer, first_of_light, pad0, pad1, pad2, each }
+        "Movers": MoverNumbers { count, first_light, first_face, first_layer, first_of_light, first_point, first_silhouette, pad, each }
         "PartOwn": PartOwn { middle_m, first, emitted, count }
         "PartShare": PartShare { place, share }
         "Place": PlaceNumbers { rows }
-        "Viewpoints": ViewpointNumbers { rows, middle_m, count, half_m, open, walks, parts, tangent, part_count, first_light, pad0, pad1, pad2 }
+        "Viewpoints": ViewpointNumbers { rows, middle_m, count, half_m, open, walks, parts, tangent, part_count, first_light, pad0, pad1, pad2, pointed }
         "BrickRow": BrickRow { cell, level }
         "ElementRow": ElementRow { normal, height_m, bits, patch_number, marks }
         "Pixels": WalkPixels {

@@ -210,7 +210,12 @@ impl<'a> Standing<'a> {
 
     /// Whether its effect reaches a point.
     pub fn reaches(&self, at_m: Vec3) -> bool {
-        self.table.fade(self.object_from_world.transform_point3(at_m)) > 0.0
+        self.fade(at_m) > 0.0
+    }
+
+    /// Weight of its effect on a point.
+    pub fn fade(&self, at_m: Vec3) -> f32 {
+        self.table.fade(self.object_from_world.transform_point3(at_m))
     }
 
     /// The object as a point sees it.

@@ -6,6 +6,17 @@
 // Directions of walks, and the part of the sphere that each is of.
 @group(1) @binding(2) var<uniform> directions: array<vec4f, 1024>;
 
+// Share of an emitter for which no points stand.
+fn left_of(emitter: f32) -> f32 {
+    for (var row = 0u; row < EMITTERS_MAX; row++) {
+        let own = viewpoints.pointed[row];
+        if own.x == emitter && own.y > 0.0 {
+            return 1.0 - own.y;
+        }
+    }
+    return 1.0;
+}
+
 @compute @workgroup_size(64)
 fn look(@builtin(global_invocation_id) thread: vec3u) {
     if thread.x >= viewpoints.count * viewpoints.walks {
@@ -22,5 +33,11 @@ fn look(@builtin(global_invocation_id) thread: vec3u) {
     let local = directions[thread.x % viewpoints.walks].xyz;
     let direction = normalize(vec3f(dot(viewpoints.rows[0].xyz, local), dot(viewpoints.rows[1].xyz, local), dot(viewpoints.rows[2].xyz, local)));
     let hit = walk(at, vec3f(0.0), direction, viewpoints.tangent, FAR);
-    met[thread.x] = vec4f(radiance(hit, direction), select(0.0, 1.0, hit.element != NOTHING && hit.is_back));
+    let glow = glow_of(hit);
+    var seen = reflected(hit, direction);
+    if glow != 0u {
+        let emitted = glows[glow - 1u];
+        seen += left_of(emitted.w) * emitted.rgb;
+    }
+    met[thread.x] = vec4f(seen, select(0.0, 1.0, hit.element != NOTHING && hit.is_back));
 }

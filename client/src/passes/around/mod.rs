@@ -13,7 +13,7 @@ use wgpu::ShaderStages as Stages;
 use crate::error::{ClientError, Result};
 use crate::passes::gpu::{Gpu, storage_read, storage_write, uniform};
 use crate::passes::stopwatch::Recorder;
-use crate::passes::transfer::{MoverTable, rows_of};
+use crate::passes::transfer::{EMITTER_POINTS, MoverTable, rows_of};
 use crate::passes::walk::{WalkTable, walks_source};
 
 pub use mix::{MixNumbers, MixPass};
@@ -70,6 +70,8 @@ pub struct ViewpointNumbers {
     pub pad1: u32,
     /// 0.
     pub pad2: u32,
+    /// Emitters, and of each the share for which points stand.
+    pub pointed: [[f32; 4]; EMITTER_POINTS],
 }
 
 /// Radiance of emitters of a part, and its patches; twin of `PartOwn` in the shader.
@@ -141,6 +143,7 @@ impl AroundPass {
             pad0: 0,
             pad1: 0,
             pad2: 0,
+            pointed: [[0.0; 4]; EMITTER_POINTS],
         };
         let four = size_of::<Vec4>() as u64;
         let most = |each: u32| u64::from(VIEWPOINTS_MAX * each) * four;
@@ -200,9 +203,21 @@ impl AroundPass {
         Ok(Self { own, viewpoints, present, around, look, means, parts })
     }
 
-    /// Writes where the object stands, how many viewpoints it has, and to which nothing is in the way.
-    pub fn set(&mut self, gpu: &Gpu, world_from_object: &Affine3A, (count, open): (u32, u32)) {
-        self.own = ViewpointNumbers { rows: rows_of(world_from_object), count, open, ..self.own };
+    /// Writes where the object stands, how many viewpoints it has, and to which nothing is in the way; and of each emitter the share for which
+    /// points stand.
+    pub fn set(
+        &mut self,
+        gpu: &Gpu,
+        world_from_object: &Affine3A,
+        (count, open): (u32, u32),
+        shares: &[f32],
+    ) {
+        let mut pointed = [[0.0; 4]; EMITTER_POINTS];
+        let of_points = (0..).zip(shares).filter(|(_, share)| **share > 0.0);
+        for (row, (emitter, share)) in pointed.iter_mut().zip(of_points) {
+            *row = [emitter as f32, *share, 0.0, 0.0];
+        }
+        self.own = ViewpointNumbers { rows: rows_of(world_from_object), count, open, pointed, ..self.own };
         gpu.write(&self.viewpoints, &[self.own]);
     }
 

@@ -21,9 +21,12 @@ struct Viewpoints {
     pad0: u32,
     pad1: u32,
     pad2: u32,
+    // Emitters, and of each the share for which points stand.
+    pointed: array<vec4f, 16>,
 }
 
 const VIEWPOINTS_MAX = 8u;
+const EMITTERS_MAX = 16u;
 // Least share of the way along an axis where those that are nearer see nothing.
 const ASIDE = 0.1;
 

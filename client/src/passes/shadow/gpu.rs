@@ -8,7 +8,7 @@ use wgpu::{ShaderStages as Stages, TextureViewDimension as Dimension};
 
 use super::panes::PanePass;
 use super::reference::ShadowMaps;
-use super::sights::SIGHT_FACES;
+use super::sights::{SIGHT_FACES, TILES};
 use super::{Face, Light, LightCount, SHADER, SIGHT_SIDE, ShadowPlan, ShadowRoom, SightPlaces};
 use crate::error::{ClientError, Result};
 use crate::passes::gpu::{Gpu, array_view, storage_read, texture, uniform};
@@ -85,11 +85,15 @@ impl ShadowPass {
         let module = gpu.module("shadow", SHADER);
         let solid = pipeline(gpu, &module, &[&face_layout], "solid", None);
         let masked = pipeline(gpu, &module, &[&face_layout, &mask_layout], "masked", Some("mask"));
-        let places =
-            SightPlaces { first_light: room.lights, first_face: room.faces, first_layer: room.faces };
-        let [lights, faces] = [room.lights + sights, room.faces + SIGHT_FACES * sights];
+        let places = SightPlaces {
+            first_light: room.lights,
+            first_face: room.faces,
+            first_silhouette: room.faces + SIGHT_FACES * sights,
+            first_layer: room.faces,
+        };
+        let [lights, faces] = [room.lights + sights, room.faces + TILES * sights];
         let tiles = (room.side / SIGHT_SIDE).pow(2).max(1);
-        let layers = room.faces + (SIGHT_FACES * sights).div_ceil(tiles);
+        let layers = room.faces + (TILES * sights).div_ceil(tiles);
         if sights > 0 && layers > gpu.device.limits().max_texture_array_layers {
             let what = format!("{} shadow maps, and {sights} objects with bakes of their own", room.faces);
             let problem = "are more than the adapter has layers for; use fewer lights".to_owned();

@@ -223,6 +223,22 @@ impl ShadowPlan {
         Ok(plan)
     }
 
+    /// Faces of `side` texels alone: each from a point in a direction, with its half extent at distance 1, in a scene with such bounds.
+    pub(in crate::passes) fn frusta(
+        each: impl Iterator<Item = (Vec3, Vec3, f32)>,
+        bounds_m: [[f32; 3]; 2],
+        side: u32,
+    ) -> Self {
+        let [low, high] = bounds_m.map(Vec3::from);
+        let diagonal = (high - low).length().max(f32::MIN_POSITIVE);
+        let count = LightCount { count: 0, side, bias_m: 5e-5 * diagonal, snap: SNAP };
+        let mut plan = Self { lights: Vec::new(), faces: Vec::new(), first_cascade: 0, count };
+        for (eye, forward, tan) in each {
+            plan.push_perspective(eye, forward, any_up(forward), tan, 1e-4 * diagonal);
+        }
+        plan
+    }
+
     /// Room that holds this plan and no more.
     pub fn room(&self) -> ShadowRoom {
         let [lights, faces] = [self.lights.len(), self.faces.len()].map(|count| count as u32);

@@ -3,10 +3,12 @@
 mod feed;
 mod moved;
 pub mod reference;
+mod silhouettes;
 mod table;
 
 pub use feed::{FeedNumbers, FeedPass};
 pub use moved::{MovedBuffers, MovedNumbers, MovedPass};
+pub use silhouettes::{EMITTER_POINTS, EmitterPoint, Silhouettes, silhouette_plan};
 pub(in crate::passes) use table::rows_of;
 pub use table::{MOVERS_MAX, MoverLevelRow, MoverNumbers, MoverRow, MoverTable};
 
@@ -17,11 +19,16 @@ pub const TEXELS_SHADER: &str = concat!(
     include_str!("../shared/shadow_map.wgsl"),
     include_str!("volume.wgsl"),
     include_str!("sights.wgsl"),
+    include_str!("silhouettes.wgsl"),
     include_str!("texels.wgsl")
 );
 /// The shader's part for pixels; and what stands for it in scenes without such objects.
-pub const PIXELS: &str =
-    concat!(include_str!("volume.wgsl"), include_str!("sights.wgsl"), include_str!("pixels.wgsl"));
+pub const PIXELS: &str = concat!(
+    include_str!("volume.wgsl"),
+    include_str!("sights.wgsl"),
+    include_str!("silhouettes.wgsl"),
+    include_str!("pixels.wgsl")
+);
 /// The shader of light that is changed before it bounces.
 pub const FEED_SHADER: &str = include_str!("feed.wgsl");
 /// Largest difference of light at receivers from the processor's with objects in it, as a root mean square of its mean: sums over some parts of

@@ -12,9 +12,14 @@ fn draw_within(index: u32) -> u32 {
     return codes[index] & ((1u << DRAW_BITS) - 1u);
 }
 
-// Finds what objects change at a surface; `moved_by` tells it then.
+// What points of emitters give to the surface.
+var<private> given: vec3f;
+
+// Finds what objects change at a surface; `moved_by` and `changed` tell it then.
 fn find_moved(draw_index: u32, surface: Surface) {
-    find_changes((codes[draw_index] >> DRAW_BITS) - 1u, surface.position, surface.towards);
+    let own = (codes[draw_index] >> DRAW_BITS) - 1u;
+    find_changes(own, surface.position, surface.towards);
+    given = given_to(own, surface.position, surface.towards, surface.facet);
 }
 
 // What a lamp that stands for an object's sight changes, of the share of it that is in sight.
@@ -26,5 +31,5 @@ fn moved_by(index: u32, share: f32) -> vec3f {
 }
 
 fn changed(light: vec3f, moved: vec3f) -> vec3f {
-    return max(light + moved, vec3f(0.0));
+    return max(light + moved + given, vec3f(0.0));
 }

@@ -3,6 +3,7 @@
 use glam::Vec3;
 use lightkiln_proto::transfer::{Cap, Standing};
 
+use super::Silhouettes;
 use crate::error::Result;
 use crate::lights::{Caster, Shape};
 use crate::passes::direct::reference::face_of;
@@ -25,6 +26,8 @@ pub struct Effect<'a> {
     pub standing: Standing<'a>,
     /// Sight from its middle.
     pub sight: &'a Sight,
+    /// It, as emitters see it.
+    pub silhouettes: &'a Silhouettes,
 }
 
 impl Sight {
@@ -58,7 +61,8 @@ impl Sight {
     }
 }
 
-/// `Σ v h ΔE` of all objects but one at a surface, W·m⁻²; h is the share of an object that nearer ones leave in sight.
+/// `Σ v h ΔE` of all objects but one at a surface, W·m⁻²; h is the share of an object that nearer ones leave in sight. And what points of
+/// emitters give to that one, whose surface it is.
 pub fn change(effects: &[Effect<'_>], but: Option<usize>, at_m: Vec3, normal: Vec3, facet: Vec3) -> Vec3 {
     let is_other =
         |(index, effect): &(usize, &Effect<'_>)| but != Some(*index) && effect.standing.reaches(at_m);
@@ -70,12 +74,14 @@ pub fn change(effects: &[Effect<'_>], but: Option<usize>, at_m: Vec3, normal: Ve
         Vec::new()
     };
     let of = |(index, effect): (usize, &&Effect<'_>)| {
-        let change = effect.standing.change(at_m, normal);
+        let kept = effect.silhouettes.kept(at_m, normal) * effect.standing.fade(at_m);
+        let change = effect.standing.change(at_m, normal) - kept;
         if change == Vec3::ZERO {
             return change;
         }
         let left = |own: &Cap| caps.iter().map(|nearer| 1.0 - own.hidden_by(nearer)).product::<f32>();
         change * effect.sight.share(at_m, facet) * caps.get(index).map_or(1.0, left)
     };
-    near.iter().enumerate().map(of).sum()
+    let given = but.and_then(|own| effects.get(own)).map(|own| own.silhouettes.given(at_m, normal, facet));
+    near.iter().enumerate().map(of).sum::<Vec3>() + given.unwrap_or_default()
 }

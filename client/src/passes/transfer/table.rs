@@ -4,12 +4,15 @@ use bytemuck::Zeroable as _;
 use glam::{Affine3A, Vec4};
 use lightkiln_proto::transfer::{HIDDEN_SIDE, HIDDEN_WIDTHS, LEVELS, Lattice, TransferLevel, TransferTable};
 
+use super::{EMITTER_POINTS, EmitterPoint};
 use crate::error::{ClientError, Result};
 use crate::passes::gpu::Gpu;
 use crate::passes::shadow::SightPlaces;
 
 /// Most objects with volumes.
 pub const MOVERS_MAX: usize = 16;
+/// Rows of a point of emitters.
+const ROWS_OF_POINT: usize = 3;
 /// Bits of a draw's number among those of its bake, below the number of its object.
 const DRAW_BITS: u32 = 24;
 /// Numbers of light of a part: its radiance, and means over caps that it may hide.
@@ -51,8 +54,8 @@ pub struct MoverRow {
     pub half_side_m: f32,
     /// Metres of its own space in one of the world.
     pub scale: f32,
-    /// 0.
-    pub pad0: u32,
+    /// Points of emitters before it.
+    pub points: u32,
     /// 0.
     pub pad1: u32,
     /// 0.
@@ -75,12 +78,12 @@ pub struct MoverNumbers {
     pub first_layer: u32,
     /// First number of light of parts, behind their planes and steps.
     pub first_of_light: u32,
+    /// First row of points of emitters.
+    pub first_point: u32,
+    /// First face in which one sees an object.
+    pub first_silhouette: u32,
     /// 0.
-    pub pad0: u32,
-    /// 0.
-    pub pad1: u32,
-    /// 0.
-    pub pad2: u32,
+    pub pad: u32,
     /// The objects.
     pub each: [MoverRow; MOVERS_MAX],
 }
@@ -90,7 +93,7 @@ pub struct MoverNumbers {
 pub struct MoverTable {
     numbers: wgpu::Buffer,
     codes: wgpu::Buffer,
-    /// Of each part its plane and its steps; then of each its radiance and what it may hide.
+    /// Of each part its plane and its steps; of each object points of emitters; then of each its radiance and what it may hide.
     pub part_light: wgpu::Buffer,
     rows: Box<MoverNumbers>,
 }
@@ -121,8 +124,11 @@ impl MoverTable {
                 codes.extend(level.codes.iter().map(|code| u32::from_le_bytes(code.map(|one| one as u8))));
             }
         }
+        let light = parts.len() / 2 * OF_PART;
+        rows.first_point = parts.len() as u32;
+        parts.resize(parts.len() + volumes.len() * EMITTER_POINTS * ROWS_OF_POINT, Vec4::ZERO);
         rows.first_of_light = parts.len() as u32;
-        parts.resize(parts.len() + parts.len() / 2 * OF_PART, Vec4::ZERO);
+        parts.resize(parts.len() + light, Vec4::ZERO);
         Ok(Self {
             numbers: gpu.storage("objects", std::slice::from_ref(&*rows))?,
             part_light: gpu.storage("light of parts", &parts)?,
@@ -131,16 +137,27 @@ impl MoverTable {
         })
     }
 
-    /// Writes where objects stand, and where what they see is.
-    pub fn set(&mut self, gpu: &Gpu, places: impl Iterator<Item = Affine3A>, sights: SightPlaces) {
-        let SightPlaces { first_light, first_face, first_layer } = sights;
-        *self.rows = MoverNumbers { first_light, first_face, first_layer, ..*self.rows };
-        for (row, world_from_object) in self.rows.each.iter_mut().zip(places) {
+    /// Writes where objects stand and which emitters they have before them, and where what they see is.
+    pub fn set<'a>(
+        &mut self,
+        gpu: &Gpu,
+        each: impl Iterator<Item = (Affine3A, &'a [EmitterPoint])>,
+        sights: SightPlaces,
+    ) {
+        let SightPlaces { first_light, first_face, first_silhouette, first_layer } = sights;
+        *self.rows = MoverNumbers { first_light, first_face, first_silhouette, first_layer, ..*self.rows };
+        let mut points = Vec::new();
+        for ((row, (world_from_object, before)), index) in self.rows.each.iter_mut().zip(each).zip(1..) {
+            row.points = before.len() as u32;
+            points.extend(before.iter().flat_map(EmitterPoint::rows));
+            points.resize(index * EMITTER_POINTS * ROWS_OF_POINT, Vec4::ZERO);
             let object_from_world = world_from_object.inverse();
             row.rows = rows_of(&object_from_world);
             row.scale = object_from_world.matrix3.x_axis.length().max(f32::MIN_POSITIVE);
         }
         gpu.write(&self.numbers, &[*self.rows]);
+        let at = u64::from(self.rows.first_point) * size_of::<Vec4>() as u64;
+        gpu.queue.write_buffer(&self.part_light, at, bytemuck::cast_slice(&points));
     }
 
     /// First number of light of an object's parts.

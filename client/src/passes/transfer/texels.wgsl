@@ -37,5 +37,5 @@ fn change_texels(@builtin(global_invocation_id) thread: vec3u) {
             sum += changes[index] * light_irradiance(lights[movers.first_light + index], position, normal, normal).w;
         }
     }
-    moved[slot] = vec4f(sum, 0.0);
+    moved[slot] = vec4f(sum + given_to(numbers.own, position, normal, normal), 0.0);
 }

@@ -1,5 +1,5 @@
 // Irradiance that objects with volumes change around them, before walls; twin: reference.rs, and `Standing` of the contract.
-// Joined behind `shadow_map.wgsl`; whoever joins it binds `movers`, `codes` and `part_light`.
+// Joined behind `shadow_map.wgsl` and with `silhouettes.wgsl`; whoever joins it binds `movers`, `codes` and `part_light`.
 
 struct MoverLevel {
     // First node, nodes before and behind the object, and last node, in metres.
@@ -24,7 +24,8 @@ struct Mover {
     half_side_m: f32,
     // Metres of its own space in one of the world.
     scale: f32,
-    pad0: u32,
+    // Points of emitters before it.
+    points: u32,
     pad1: u32,
     pad2: u32,
     levels: array<MoverLevel, 4>,
@@ -38,9 +39,10 @@ struct Movers {
     first_layer: u32,
     // First number of light of parts, behind their planes and steps.
     first_of_light: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
+    // First row of points of emitters, and first face in which one sees an object.
+    first_point: u32,
+    first_silhouette: u32,
+    pad: u32,
     each: array<Mover, 16>,
 }
 
@@ -68,7 +70,7 @@ const HIDDEN_WIDTHS = 6u;
 const WIDER = 2.1885;
 const NARROWEST = 0.019933422;
 // Numbers of light of a part: its radiance, then what it hides. Before all light stand, of each part, unit normal and offset of a plane behind which
-// nothing of it is seen, the normal 0 where there is none; then steps of F and of the solid angle.
+// nothing of it is seen, the normal 0 where there is none; then steps of F and of the solid angle. Between both stand points of emitters.
 const OF_PART = 1u + HIDDEN_WIDTHS * HIDDEN_SIDE * HIDDEN_SIDE;
 
 // What each object changes, walls aside.
@@ -185,7 +187,7 @@ fn changed_by(index: u32, at_m: vec3f, about: vec3f) -> Changed {
             }
         }
     }
-    found.change *= fade;
+    found.change = fade * (found.change - kept_by(index, at_m, about));
     let direct = select(offset, all.xyz, dot(all.xyz, all.xyz) > 0.0);
     let towards = direct * inverseSqrt(max(dot(direct, direct), 1e-38));
     found.towards = (row0.xyz * towards.x + row1.xyz * towards.y + row2.xyz * towards.z) / scale;

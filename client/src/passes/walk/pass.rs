@@ -3,7 +3,8 @@
 use glam::{IVec3, Vec3, Vec4};
 use lightkiln_proto::relight::PatchTable;
 use lightkiln_proto::voxels::{
-    IRRADIANCE_WALKS, OCCLUSION_WALKS, REFLECTION_WALKS, VoxelTable, first_of_sky, glows_of, sky_directions,
+    Glow, IRRADIANCE_WALKS, OCCLUSION_WALKS, REFLECTION_WALKS, VoxelTable, first_of_sky, glows_of,
+    sky_directions,
 };
 use wgpu::ShaderStages as Stages;
 
@@ -131,8 +132,8 @@ impl WalkTable {
 
     /// Writes the radiance of glows from that of each emitter, W·m⁻²·sr⁻¹.
     pub fn set_emitters(&self, gpu: &Gpu, table: &VoxelTable, emitters: impl Fn(u16) -> Vec3) {
-        let glows: Vec<Vec4> =
-            glows_of(table, emitters).into_iter().map(|radiance| radiance.extend(0.0)).collect();
+        let row = |(radiance, glow): (Vec3, &Glow)| radiance.extend(glow.emitter.into());
+        let glows: Vec<Vec4> = glows_of(table, emitters).into_iter().zip(&table.glows).map(row).collect();
         debug_assert_eq!(glows.len(), self.glow_count);
         gpu.write(&self.glows, &glows);
     }

@@ -47,7 +47,7 @@ struct ElementRow {
 @group(0) @binding(4) var<storage, read> first_elements: array<u32>;
 @group(0) @binding(5) var<storage, read> elements: array<ElementRow>;
 @group(0) @binding(6) var<storage, read> lambda: array<vec4f>;
-// Radiance of glows, then directions of the sky's parts.
+// Radiance of glows, w being the emitter; then directions of the sky's parts.
 @group(0) @binding(7) var<storage, read> glows: array<vec4f>;
 
 const DARK = 0xffffffffu;
