@@ -99,10 +99,22 @@ pub struct Stance {
     pub time_s: f32,
     /// Animation, counted from 0.
     pub clip: u32,
+    /// Turn about its hinge before all else, as a door swings: yaw, pitch and roll in degrees.
+    pub swing_deg: [f32; 3],
+    /// Point that stays in place then, in metres of its own space.
+    pub hinge_m: [f32; 3],
 }
 
 impl Default for Stance {
     fn default() -> Self {
-        Self { position_m: [0.0; 3], turn_deg: [0.0; 3], scale: 1.0, time_s: 0.0, clip: 0 }
+        Self {
+            position_m: [0.0; 3],
+            turn_deg: [0.0; 3],
+            scale: 1.0,
+            time_s: 0.0,
+            clip: 0,
+            swing_deg: [0.0; 3],
+            hinge_m: [0.0; 3],
+        }
     }
 }

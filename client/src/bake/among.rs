@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use glam::{Affine3A, Mat3, Vec4};
+use lightkiln_proto::manifest::Manifest;
 
 use super::LoadedBake;
 use crate::error::{ClientError, Result};
-use crate::scene::{Object, Stance, turn_of, world_from_object};
+use crate::scene::{Object, Recolour, Stance, check_among, named_in, turn_of, world_from_object};
 
 /// Where a bake's own space stands, and the light that others give it and take from it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -65,6 +66,40 @@ impl Beside {
     }
 }
 
+/// Refuses colours that neither materials of a bake nor of objects with bakes of their own can have.
+pub fn check_colours(manifest: &Manifest, objects: &[Beside], colours: &[Recolour]) -> Result<()> {
+    let of_objects = objects.iter().filter_map(|object| match object {
+        Beside::Baked { bake, .. } => Some(&bake.scene.manifest.materials),
+        Beside::Meshes(_) => None,
+    });
+    check_among(manifest.materials.iter().chain(of_objects.flatten()), colours)
+}
+
+/// Gives objects with bakes of their own those colours whose names their materials have, and tells which the bake's own have. Errs for a name that
+/// neither has. Before they are put beside a bake.
+pub fn share_colours(
+    manifest: &Manifest,
+    objects: &mut [Beside],
+    colours: &[Recolour],
+) -> Result<Vec<Recolour>> {
+    check_colours(manifest, objects, colours)?;
+    for object in objects {
+        let Beside::Baked { name, bake } = object else { continue };
+        let own = named_in(&bake.scene, colours);
+        if own.is_empty() {
+            continue;
+        }
+        let bake = Arc::get_mut(bake).ok_or_else(|| ClientError::Argument {
+            what: format!("object '{name}'"),
+            problem: "stands beside another bake already, with the colours that it has".to_owned(),
+        })?;
+        bake.recolour(&own)?;
+    }
+    let is_own =
+        |colour: &&Recolour| manifest.materials.iter().any(|material| material.name == colour.material);
+    Ok(colours.iter().filter(is_own).cloned().collect())
+}
+
 impl LoadedBake {
     /// Puts an object beside the bake, at rest at the origin.
     pub fn put(&mut self, beside: Beside) -> Result<()> {
@@ -93,6 +128,7 @@ impl LoadedBake {
         }
         let first = self.scene.draws.draws.len();
         self.add_object(bake.scene.as_object(name))?;
+        Arc::make_mut(&mut self.scene).colour_last_object();
         let (object, draws) = (self.scene.objects() - 1, [first, self.scene.draws.draws.len()]);
         self.movers.push(Mover { object, draws, bake });
         Ok(())

@@ -19,7 +19,7 @@ use crate::error::Result;
 use crate::fetch::Source;
 use crate::scene::{LoadedScene, Object, Recolour, Tints};
 
-pub use among::{Among, Beside, Mover};
+pub use among::{Among, Beside, Mover, check_colours, share_colours};
 pub use edit::{Edited, QuickBake};
 pub use errors::{COLUMNS, FULL_COLOUR, MeasuredErrors};
 pub use free_space::{FreeSpace, Lattice, NO_PROBE, PROBE_COEFFICIENTS, Tetrahedra};

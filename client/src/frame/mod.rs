@@ -16,6 +16,7 @@
 
 mod bake;
 mod bounces;
+mod colours;
 mod fog;
 mod held;
 mod lod;
@@ -47,7 +48,7 @@ use crate::passes::shadow::{Eye, ShadowPass, ShadowPlan, ShadowRoom};
 use crate::passes::stopwatch::Stopwatch;
 use crate::passes::walk::Walks;
 use crate::picture::PassTime;
-use crate::scene::{Recolour, Stance, Tints, bounds_of};
+use crate::scene::{Stance, Tints, bounds_of};
 
 use bounces::Bounces;
 pub use held::Held;
@@ -252,24 +253,6 @@ impl<'a> Frame<'a> {
             self.write_unshadowed();
             self.place_movers()?;
         }
-        Ok(())
-    }
-
-    /// Gives materials other colours than the bake's; those that are not named have the bake's own.
-    pub fn set_materials(&mut self, colours: &[Recolour]) -> Result<()> {
-        let scene = &self.bake.scene;
-        let tints = Tints::of(scene, colours)?;
-        if tints == self.tints {
-            return Ok(());
-        }
-        if let Some(albedo) = self.bake.light.tinted_albedo(scene, &tints) {
-            self.light.set_albedo(&self.gpu, &albedo);
-        }
-        self.tints = tints;
-        self.shade.set_looks(&self.gpu, scene, &self.tints, &self.emitter_scale);
-        // Near hits have albedo and light from lights in one sum.
-        (self.stale.direct, self.stale.pages) = (true, true);
-        self.bounces = Bounces::default();
         Ok(())
     }
 

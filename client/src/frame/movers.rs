@@ -22,7 +22,7 @@ use crate::passes::stopwatch::{Recorder, Stopwatch};
 use crate::passes::transfer::reference::Sight;
 use crate::passes::transfer::{MovedPass, MoverTable, silhouette_plan};
 use crate::passes::walk::WalkTable;
-use crate::scene::Stance;
+use crate::scene::{Recolour, Stance, Tints};
 
 /// Objects of a bake on the adapter.
 pub(super) struct Movers {
@@ -165,6 +165,17 @@ impl Movers {
         let each = places.into_iter().zip(before.iter().map(Vec::as_slice));
         self.table.set(gpu, each, shadow.sight_places());
         shadow.set_sights(gpu, plans.iter());
+        Ok(())
+    }
+
+    /// Gives materials of objects other colours, those that they have.
+    pub(super) fn set_materials(&self, gpu: &Gpu, colours: &[Recolour]) -> Result<()> {
+        for own in &self.each {
+            let scene = &own.bake.scene;
+            if let Some(albedo) = own.bake.light.tinted_albedo(scene, &Tints::of_named(scene, colours)?) {
+                own.light.set_albedo(gpu, &albedo);
+            }
+        }
         Ok(())
     }
 

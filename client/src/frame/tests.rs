@@ -15,6 +15,7 @@ use crate::passes::shade;
 use crate::passes::shadow::ShadowRoom;
 use crate::picture::Picture;
 use crate::preview::{Backend, View, ViewPath, render_path};
+use crate::scene::Recolour;
 use crate::tests::{facing, view_of};
 
 const LIMIT: Limit = Limit { bounces_max: 64, change_max: 1e-5 };

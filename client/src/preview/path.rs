@@ -206,6 +206,8 @@ fn stance_between(a: &Stance, b: &Stance, share: f32) -> Stance {
         scale: mix(a.scale, b.scale, share),
         time_s: mix(a.time_s, b.time_s, share),
         clip: a.clip,
+        swing_deg: mix3(a.swing_deg, b.swing_deg, share),
+        hinge_m: mix3(a.hinge_m, b.hinge_m, share),
     }
 }
 
@@ -330,6 +332,7 @@ mod tests {
             scale: 1.0,
             time_s: 2.0,
             clip: 1,
+            ..Stance::default()
         };
         assert_eq!((middle[0], middle[1].scale, path.objects()), (expected, 3.0, Some(2)));
         for (keys, word) in [

@@ -21,6 +21,7 @@ pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, N
 pub use objects::{Object, ObjectShape, Rigid, Stance};
 pub(crate) use objects::{PosedDraw, bounds_of, check_stances, turn_of, world_from_object};
 pub use recolour::{ALBEDO_MAX, Albedo, Recolour, Tints, check_recolours};
+pub(crate) use recolour::{check_among, named_in};
 pub(crate) use texture::srgb_of_linear;
 pub use texture::{Encoding, Texture};
 

@@ -62,6 +62,8 @@ pub(super) struct PlacedObject {
     first_draw: usize,
     draws: usize,
     first_material: u32,
+    /// Its materials can have other colours: it has a bake of its own, which follows.
+    is_baked: bool,
 }
 
 /// A mesh of an object where it stands.
@@ -88,8 +90,14 @@ impl LoadedScene {
         }
         let textures = encoded(&materials, textures)
             .map_err(|index| refused(&name, format!("has a texture {index} that {READ_TWICE}")))?;
-        let mut placed =
-            PlacedObject { name, shape, first_draw: self.draws.draws.len(), draws: 0, first_material };
+        let mut placed = PlacedObject {
+            name,
+            shape,
+            first_draw: self.draws.draws.len(),
+            draws: 0,
+            first_material,
+            is_baked: false,
+        };
         let rest = Stance::default();
         let draws = placed.draws_at(&rest, materials.len())?;
         if draws.is_empty() {
@@ -138,6 +146,22 @@ impl LoadedScene {
             .first()
             .map_or(self.manifest.materials.len(), |object| object.first_material as usize);
         &self.manifest.materials[..own]
+    }
+
+    /// Materials that can have other colours, with their numbers: those of the bake itself, and of objects with bakes of their own.
+    pub fn coloured_materials(&self) -> impl Iterator<Item = (u32, &Material)> + Clone {
+        let is_coloured = |(number, _): &(u32, &Material)| {
+            let of_object = self.objects.iter().rev().find(|object| object.first_material <= *number);
+            of_object.is_none_or(|object| object.is_baked)
+        };
+        (0..).zip(&self.manifest.materials).filter(is_coloured)
+    }
+
+    /// Lets the last object's materials have other colours.
+    pub(crate) fn colour_last_object(&mut self) {
+        if let Some(object) = self.objects.last_mut() {
+            object.is_baked = true;
+        }
     }
 
     /// Number of objects.
@@ -207,7 +231,8 @@ pub(crate) fn check_stances(scene: &LoadedScene, stances: &[Stance]) -> Result<(
         return Err(ClientError::Argument { what, problem });
     }
     let is_place = |stance: &Stance| {
-        let numbers = [stance.position_m, stance.turn_deg, [stance.scale, stance.time_s, 0.0]];
+        let Stance { position_m, turn_deg, scale, time_s, swing_deg, hinge_m, .. } = *stance;
+        let numbers = [position_m, turn_deg, [scale, time_s, 0.0], swing_deg, hinge_m];
         numbers.as_flattened().iter().all(|number| number.is_finite()) && stance.scale > 0.0
     };
     match stances.iter().position(|stance| !is_place(stance)) {
@@ -219,11 +244,19 @@ pub(crate) fn check_stances(scene: &LoadedScene, stances: &[Stance]) -> Result<(
     }
 }
 
-/// Place of an object: `T · R_y(yaw) · R_x(pitch) · R_z(roll) · s`.
+/// Place of an object: `T · R_y(yaw) · R_x(pitch) · R_z(roll) · s · H`, H its swing about its hinge.
 pub(crate) fn world_from_object(stance: &Stance) -> Affine3A {
-    let [yaw, pitch, roll] = stance.turn_deg.map(f32::to_radians);
-    let turn = Quat::from_euler(EulerRot::YXZ, yaw, pitch, roll);
-    Affine3A::from_scale_rotation_translation(Vec3::splat(stance.scale), turn, stance.position_m.into())
+    let turn = |degrees: [f32; 3]| {
+        let [yaw, pitch, roll] = degrees.map(f32::to_radians);
+        Quat::from_euler(EulerRot::YXZ, yaw, pitch, roll)
+    };
+    let (scale, at_m) = (Vec3::splat(stance.scale), Vec3::from(stance.position_m));
+    let place = Affine3A::from_scale_rotation_translation(scale, turn(stance.turn_deg), at_m);
+    if stance.swing_deg == [0.0; 3] {
+        return place;
+    }
+    let (swing, hinge_m) = (turn(stance.swing_deg), Vec3::from(stance.hinge_m));
+    place * Affine3A::from_rotation_translation(swing, hinge_m - swing * hinge_m)
 }
 
 /// The turn of a place of uniform scale.
@@ -338,6 +371,15 @@ mod tests {
         // A quarter turn about y takes x to −z and z to x.
         assert!(near(mesh.vertices[2].position_m, [5.0, 8.0, 5.0]), "{:?}", mesh.vertices[2]);
         assert!(near(mesh.vertices[2].normal, [1.0, 0.0, 0.0]), "{:?}", mesh.vertices[2]);
+        // A swing leaves the hinge, here its corner 2, where it was.
+        let door = Stance { swing_deg: [70.0, 10.0, 0.0], hinge_m: [1.0, 1.0, 0.0], ..stance };
+        let [(_, closed)] = &scene.posed(&[stance]).unwrap()[..] else { panic!() };
+        let [(_, open)] = &scene.posed(&[door]).unwrap()[..] else { panic!() };
+        let of = |mesh: &LoadedDraw, corner: usize| mesh.vertices[corner].position_m;
+        let hinge = closed.vertices.iter().position(|vertex| near(vertex.position_m, of(mesh, 2))).unwrap();
+        assert!(near(of(open, hinge), of(closed, hinge)), "{:?}", of(open, hinge));
+        let side = |mesh: &LoadedDraw| Vec3::from(of(mesh, 0)).distance(of(mesh, 2).into());
+        assert!((side(open) - side(closed)).abs() < 1e-4 && !near(of(open, 0), of(closed, 0)));
         let bounds = scene.bounds_with([bounds_of(&posed)]);
         assert!(bounds[1][1] >= 8.0 && bounds[0] == scene.manifest.bounds_m[0], "{bounds:?}");
         // Far away it moves them by the diagonal, and by no more.

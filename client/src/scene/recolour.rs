@@ -61,16 +61,16 @@ impl Tints {
     /// Other colours of a scene's materials. Errs for a name that no material has, for glass, whose colour is that of what passes it,
     /// and where a material with textures is to reflect a channel of which it has next to nothing.
     pub fn of(scene: &LoadedScene, colours: &[Recolour]) -> Result<Self> {
-        check_among(scene.own_materials(), colours)?;
+        check_among(scene.coloured_materials().map(|(_, material)| material), colours)?;
         let mut tints = vec![None; scene.manifest.materials.len()];
         let uneven: HashSet<u32> = {
             let draws = scene.draws.draws.iter();
             draws.filter(|draw| !is_even(scene, draw)).map(|draw| draw.material).collect()
         };
         for Recolour { material: name, base_colour } in colours {
-            // An object's material of the same name keeps its own colour.
-            let materials = scene.own_materials().iter().zip(0..);
-            for (material, index) in materials.filter(|(material, _)| material.name == *name) {
+            // A material of the same name of an object without a bake keeps its own colour.
+            let materials = scene.coloured_materials();
+            for (index, material) in materials.filter(|(_, material)| material.name == *name) {
                 let old = Vec3::from_slice(&material.base_colour[..3]);
                 let new = Vec3::from(*base_colour);
                 for channel in (0..3).filter(|_| uneven.contains(&index)) {
@@ -90,6 +90,11 @@ impl Tints {
             }
         }
         Ok(Self(tints))
+    }
+
+    /// Likewise, of those colours alone whose names some of its materials have.
+    pub fn of_named(scene: &LoadedScene, colours: &[Recolour]) -> Result<Self> {
+        Self::of(scene, &named_in(scene, colours))
     }
 
     /// Change of the albedo in each block of the lightmap, by the mesh that reads it; `None` where it stays.
@@ -130,17 +135,28 @@ fn is_even(scene: &LoadedScene, draw: &LoadedDraw) -> bool {
 
 /// Refuses what can be refused before anything but the manifest is there: colours out of range, unknown names, and glass.
 pub fn check_recolours(manifest: &Manifest, colours: &[Recolour]) -> Result<()> {
-    check_among(&manifest.materials, colours)
+    check_among(manifest.materials.iter(), colours)
 }
 
-fn check_among(materials: &[Material], colours: &[Recolour]) -> Result<()> {
+/// Those colours whose names some of a scene's materials have.
+pub(crate) fn named_in(scene: &LoadedScene, colours: &[Recolour]) -> Vec<Recolour> {
+    let is_named =
+        |colour: &&Recolour| scene.coloured_materials().any(|(_, material)| material.name == colour.material);
+    colours.iter().filter(is_named).cloned().collect()
+}
+
+/// Refuses colours that no material can have, among those of a bake and of objects with bakes of their own.
+pub(crate) fn check_among<'a>(
+    materials: impl Iterator<Item = &'a Material> + Clone,
+    colours: &[Recolour],
+) -> Result<()> {
     for Recolour { material: name, base_colour } in colours {
         if !base_colour.iter().all(|channel| (0.0..=1.0).contains(channel)) {
             return Err(refused(name, "takes a linear colour with channels 0 to 1"));
         }
-        let mut named = materials.iter().filter(|material| material.name == *name).peekable();
+        let mut named = materials.clone().filter(|material| material.name == *name).peekable();
         if named.peek().is_none() {
-            return Err(refused(name, &format!("is none of the bake's: {}", names(materials))));
+            return Err(refused(name, &format!("is none of the bake's: {}", names(materials.clone()))));
         }
         if named.any(|material| material.glass.is_some()) {
             return Err(refused(name, "is of glass: its colour is baked; bake the scene with another one"));
@@ -154,8 +170,8 @@ fn refused(name: &str, problem: &str) -> ClientError {
 }
 
 /// Names of a bake's materials, the first of many.
-fn names(materials: &[Material]) -> String {
-    let mut names: Vec<&str> = materials.iter().map(|material| material.name.as_str()).collect();
+fn names<'a>(materials: impl Iterator<Item = &'a Material>) -> String {
+    let mut names: Vec<&str> = materials.map(|material| material.name.as_str()).collect();
     names.sort_unstable();
     names.dedup();
     let more = names.len().saturating_sub(NAMES);

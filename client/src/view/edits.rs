@@ -75,7 +75,7 @@ impl Edits {
     /// The state of a view of a scene, with other colours of materials.
     pub fn of(view: &View, scene: &LoadedScene, recolours: &[Recolour]) -> Self {
         let mut colours: Vec<Colour> = Vec::new();
-        for material in scene.own_materials() {
+        for (_, material) in scene.coloured_materials() {
             let [r, g, b, _] = material.base_colour;
             match colours.iter_mut().find(|known| known.material == material.name) {
                 Some(known) => known.is_glass |= material.glass.is_some(),

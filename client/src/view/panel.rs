@@ -293,7 +293,7 @@ fn materials(ui: &mut Ui, edits: &mut Edits) {
 fn objects(ui: &mut Ui, edits: &mut Edits) {
     for (index, object) in edits.objects.iter_mut().enumerate() {
         let length_s = object.length_s;
-        let Stance { position_m, turn_deg, scale, time_s, .. } = &mut object.stance;
+        let Stance { position_m, turn_deg, scale, time_s, swing_deg, hinge_m, .. } = &mut object.stance;
         ui.push_id(index, |ui| {
             ui.label(format!("{} · {}", index + 1, object.name));
             place(ui, position_m);
@@ -305,6 +305,14 @@ fn objects(ui: &mut Ui, edits: &mut Edits) {
                     ui.add(number(angle, 0.5).suffix(name));
                 }
             });
+            // Things that were given a hinge swing.
+            if [*swing_deg, *hinge_m] != [[0.0; 3]; 2] {
+                ui.horizontal(|ui| {
+                    for (angle, name) in swing_deg.iter_mut().zip(["° swing", "° pitch", "° roll"]) {
+                        ui.add(number(angle, 0.5).suffix(name));
+                    }
+                });
+            }
             ui.horizontal(|ui| {
                 let speed = 0.01 * f64::from(*scale);
                 if ui.add(number(scale, speed).range(SCALES).prefix("× ")).changed() {

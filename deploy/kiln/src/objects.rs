@@ -23,7 +23,7 @@ pub struct ObjectArgument {
     pub stance: Stance,
 }
 
-/// Reads `FILE pos=x,y,z turn=yaw,pitch,roll scale=s time=seconds clip=n`.
+/// Reads `FILE pos=x,y,z turn=yaw,pitch,roll scale=s time=seconds clip=n swing=yaw,pitch,roll hinge=x,y,z`.
 pub fn parse_object(text: &str) -> std::result::Result<ObjectArgument, String> {
     let (file, stance) = object_from_text(text).map_err(|error| error.to_string())?;
     Ok(ObjectArgument { file: file.into(), stance })

@@ -7,7 +7,9 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use lightkiln_client::ClientError;
-use lightkiln_client::bake::{Beside, ClientKinds, Edited, LoadedBake};
+#[cfg(feature = "view")]
+use lightkiln_client::bake::check_colours;
+use lightkiln_client::bake::{Beside, ClientKinds, Edited, LoadedBake, share_colours};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::lights::{ParsedLights, parse_camera, parse_lights};
 use lightkiln_client::picture::{Exposure, Picture, Tone};
@@ -15,10 +17,11 @@ use lightkiln_client::preview::{
     Backend, Fog, StreamedBake, SurfaceDetails, View, ViewPath, Walks, debug_picture, provisional_share,
     render, render_path,
 };
-use lightkiln_client::scene::{Recolour, Stance, check_recolours};
+use lightkiln_client::scene::{Recolour, Stance};
 use lightkiln_client::stream::{Budget, Streamed};
 #[cfg(feature = "view")]
 use lightkiln_client::view::Subject;
+use lightkiln_proto::manifest::Manifest;
 #[cfg(feature = "view")]
 use lightkiln_proto::manifest::OVERVIEW;
 use lightkiln_proto::relight::{LevelCount, Lod};
@@ -47,7 +50,7 @@ pub struct LookArguments {
     #[arg(long, value_name = "LIGHT", help_heading = "Picture")]
     light: Vec<String>,
     /// Another base colour of a material, linear, instead of the file's factor: "NAME=r,g,b" with channels 0 to 1; may be
-    /// given often. All light follows, and nothing is baked again
+    /// given often. All light follows, and nothing is baked again. Materials are the bake's, and those of objects with bakes of their own
     #[arg(long, value_name = "MATERIAL", value_parser = parse_recolour, help_heading = "Picture")]
     material: Vec<Recolour>,
     /// Fog between surfaces, e.g. "density=0.05 albedo=0.9 g=0.3 height=2": share of light that it stops per metre, share of it that it scatters,
@@ -150,14 +153,6 @@ impl LookArguments {
         Ok(())
     }
 
-    /// Refuses colours of materials that the bake has not.
-    fn check_colours(&self, source: &Source) -> Result<()> {
-        if !self.material.is_empty() {
-            check_recolours(&source.manifest()?.1, &self.material)?;
-        }
-        Ok(())
-    }
-
     /// The view of a bake, and notes on what was chosen.
     fn view(
         &self,
@@ -197,6 +192,11 @@ impl LookArguments {
         Ok((view, notes))
     }
 
+    /// Colours of the bake's materials; objects with bakes of their own have theirs then.
+    fn share(&self, manifest: &Manifest, objects: &mut [Beside]) -> Result<Vec<Recolour>> {
+        Ok(share_colours(manifest, objects, &self.material)?)
+    }
+
     /// A window's bake, and how it is looked at first: a server's comes piece by piece where it has an overview.
     #[cfg(feature = "view")]
     pub fn opened(
@@ -218,8 +218,8 @@ impl LookArguments {
                 Some(StreamedBake::follow(following, kinds, budget)?)
             }
             None => {
-                self.check_colours(source)?;
                 let (_, manifest) = source.manifest()?;
+                check_colours(&manifest, &objects, &self.material)?;
                 let streams =
                     matches!(source, Source::Server { .. }) && !manifest.chunks(OVERVIEW).is_empty();
                 let is_part = streams || max_memory.is_some();
@@ -227,7 +227,7 @@ impl LookArguments {
             }
         };
         if let Some(mut streamed) = part {
-            check_recolours(&streamed.bake.scene.manifest, &self.material)?;
+            check_colours(&streamed.bake.scene.manifest, &objects, &self.material)?;
             streamed.add_objects(objects)?;
             let (view, notes) = self.view(&streamed.bake, lighting, None)?;
             return Ok((Subject::Streamed(Box::new(streamed)), view, notes));
@@ -277,7 +277,7 @@ impl PictureArguments {
         source: &Source,
         png: &Path,
     ) -> Result<Drawn> {
-        let (objects, stances) = reel.take_objects();
+        let (mut objects, stances) = reel.take_objects();
         let path = reel.path.as_ref();
         let within = reel.budget.unwrap_or(Budget::NONE);
         let part = match kinds.follow(source)? {
@@ -285,7 +285,9 @@ impl PictureArguments {
             None => reel.budget.map(|budget| StreamedBake::begin(source, kinds, budget)).transpose()?,
         };
         let Some(streamed) = part else {
-            let mut bake = self.loaded(source, kinds)?;
+            let own = self.look.share(&source.manifest()?.1, &mut objects)?;
+            let mut bake = LoadedBake::load(source, kinds)?;
+            bake.recolour(&own)?;
             let view = self.view_of_whole(&mut bake, &reel, (&objects, stances), lighting)?;
             let full = match self.write_all(&bake, &view, path, png) {
                 Err(full @ ClientError::AdapterFull { .. }) => full,
@@ -295,13 +297,14 @@ impl PictureArguments {
             let Ok(streamed) = StreamedBake::begin(source, kinds, Budget::NONE) else {
                 return Err(full.into());
             };
-            let mut streamed = self.furnished(streamed, objects)?;
+            let mut streamed = furnished(streamed, &own, objects)?;
             let memory = streamed.less_memory(u64::MAX).unwrap_or(0);
             let budget = Budget { memory, ..Budget::NONE };
             return self.write_part(&mut streamed, (budget, Some(full)), &view, path, png);
         };
         reel.check_part()?;
-        let mut streamed = self.furnished(streamed, objects)?;
+        let own = self.look.share(&streamed.bake.scene.manifest, &mut objects)?;
+        let mut streamed = furnished(streamed, &own, objects)?;
         let view = View { objects: stances, ..self.view(&streamed.bake, lighting, path)? };
         self.write_part(&mut streamed, (within, None), &view, path, png)
     }
@@ -314,10 +317,10 @@ impl PictureArguments {
         lighting: &LightArguments,
         png: &Path,
     ) -> Result<Drawn> {
-        let (objects, stances) = reel.take_objects();
+        let (mut objects, stances) = reel.take_objects();
         let path = reel.path.as_ref();
-        check_recolours(&edited.bake.scene.manifest, &self.look.material)?;
-        edited.bake.recolour(&self.look.material)?;
+        let own = self.look.share(&edited.bake.scene.manifest, &mut objects)?;
+        edited.bake.recolour(&own)?;
         let view = self.view_of_whole(&mut edited.bake, &reel, (&objects, stances), lighting)?;
         let first = path.map_or_else(|| view.clone(), |path| path.view(1, &view));
         let share = provisional_share(&edited, &first)?;
@@ -339,13 +342,6 @@ impl PictureArguments {
         let mut view = View { objects: stances, ..self.view(bake, lighting, reel.path.as_ref())? };
         view.walks = Walks { occlusion_m: view.walks.occlusion_m, ..reel.walks() };
         Ok(view)
-    }
-
-    /// The bake with the colours that are asked for, and with objects.
-    fn furnished(&self, mut streamed: StreamedBake, objects: Vec<Beside>) -> Result<StreamedBake> {
-        streamed.recolour(&self.look.material)?;
-        streamed.add_objects(objects)?;
-        Ok(streamed)
     }
 
     /// Draws with as much of the light as the budget allows, and the adapter has room for; `full` is its error where it had none for more.
@@ -382,14 +378,6 @@ impl PictureArguments {
             under_way: baked,
             ..drawn
         })
-    }
-
-    /// The whole bake, with the colours that are asked for.
-    fn loaded(&self, source: &Source, kinds: &ClientKinds) -> Result<LoadedBake> {
-        self.look.check_colours(source)?;
-        let mut bake = LoadedBake::load(source, kinds)?;
-        bake.recolour(&self.look.material)?;
-        Ok(bake)
     }
 
     /// The view of a bake; says on standard error what was chosen.
@@ -484,4 +472,11 @@ impl From<BackendName> for Backend {
             BackendName::Cpu => Self::Cpu,
         }
     }
+}
+
+/// The bake with colours of its materials, and with objects.
+fn furnished(mut streamed: StreamedBake, colours: &[Recolour], objects: Vec<Beside>) -> Result<StreamedBake> {
+    streamed.recolour(colours)?;
+    streamed.add_objects(objects)?;
+    Ok(streamed)
 }

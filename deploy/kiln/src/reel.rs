@@ -53,7 +53,8 @@ pub struct ReelArguments {
     /// --max-memory choose light for the first one
     #[arg(long, value_name = "FILE", conflicts_with = "debug", help_heading = "Picture")]
     path: Option<PathBuf>,
-    /// Object beside the bake, which moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]", a
+    /// Object beside the bake, which moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]
+    /// [swing=yaw,pitch,roll] [hinge=x,y,z]", a
     /// glTF, turned in degrees, at a time of its n-th animation; may be given often. Lights light it, and bounced light where the bake
     /// has it in free space; it casts shadows on all that lights reach, from where less light bounces
     #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3, Vec4};
-use lightkiln_client::bake::{Beside, LoadedBake};
+use lightkiln_client::bake::{Beside, LoadedBake, share_colours};
 use lightkiln_client::fetch::Source;
 use lightkiln_client::frame::{Frame, FrameRoom};
 use lightkiln_client::kinds;
@@ -14,7 +14,7 @@ use lightkiln_client::passes::shade;
 use lightkiln_client::passes::shadow::ShadowRoom;
 use lightkiln_client::passes::transfer::{OUTLIERS, TOLERANCE};
 use lightkiln_client::preview::{Backend, View, light_receivers_among, render};
-use lightkiln_client::scene::Stance;
+use lightkiln_client::scene::{Recolour, Stance};
 use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::SceneCamera;
 use lightkiln_proto::transfer::{TRANSFER, decode_transfer};
@@ -388,6 +388,57 @@ fn frame_goes_on_with_an_object_that_moves_and_is_black_without_light() {
     assert!(converged && bounces < 4, "{bounces}");
     let light = frame.read_receivers().unwrap().unwrap();
     assert!(light.indirect.iter().all(|light| *light == Vec4::ZERO), "light that nothing sends");
+}
+
+/// A colour that is given to an object while it stands there changes its light and that of the room as a bake of the object in that colour does.
+#[test]
+fn object_of_another_colour_is_as_one_baked_in_it() {
+    let of = |albedo: [f32; 3]| {
+        let surface = Surface::diffuse("paint", albedo);
+        Arc::new(fresh(alone("ball", &ball(0.5), surface), &object_recipe()))
+    };
+    let bake = |object| with(fresh(cornell_of_one_box(), &scene_recipe(0.25)), &[object]);
+    let [black, blue] = [[0.02; 3], [0.1, 0.2, 0.9]];
+    let [plain, anew] = [bake(of(black)), bake(of(blue))];
+    let gpu = Gpu::open().unwrap();
+    let lights = parse_lights(&["point pos=0.3,3.4,0.5 power=60"]).unwrap().lights;
+    let camera = parse_camera("eye=0,3,6 target=0.2,1,-1 fov=50").unwrap();
+    let shadows = ShadowRoom::for_lights(&Caster::of(&lights), 512).unwrap();
+    let colour = Recolour { material: "paint".to_owned(), base_colour: blue };
+    let drawn = |bake: &LoadedBake, colours: &[Recolour]| {
+        let room = FrameRoom { size: [120, 90], shadows };
+        let mut frame = Frame::new(&gpu, bake, room, camera.clone()).unwrap();
+        frame.set_lights(&lights).unwrap();
+        frame.set_objects(&[at(0.6, 0.55, -0.8)]).unwrap();
+        let limit = Limit { change_max: 1e-4, ..Limit::default() };
+        frame.settle(limit).unwrap();
+        frame.set_materials(colours).unwrap();
+        frame.settle(limit).unwrap();
+        frame.draw([0.0; 2]).unwrap();
+        let receivers = frame.read_receivers().unwrap().unwrap().indirect;
+        (frame.read().unwrap(), receivers)
+    };
+    let sum = |light: &[Vec4]| light.iter().map(|light| f64::from(light.z)).sum::<f64>();
+    let (before, of_before) = drawn(&plain, &[]);
+    let (edited, of_edited) = drawn(&plain, std::slice::from_ref(&colour));
+    let (wanted, of_wanted) = drawn(&anew, &[]);
+    println!("edited {:.5}, as before {:.4}", apart(&edited, &wanted), apart(&before, &wanted));
+    assert!(apart(&edited, &wanted) < 5e-3 && apart(&before, &wanted) > 0.05);
+    let [was, is, wanted] = [&of_before, &of_edited, &of_wanted].map(|light| sum(light));
+    assert!((is / wanted - 1.0).abs() < 2e-3 && (was / wanted - 1.0).abs() > 0.01, "{was} {is} {wanted}");
+    // The processor takes it before the object is put beside the bake.
+    let mut objects = [Beside::Baked { name: "ball".to_owned(), bake: of(black) }];
+    let mut room = fresh(cornell_of_one_box(), &scene_recipe(0.25));
+    let own = share_colours(&room.scene.manifest, &mut objects, std::slice::from_ref(&colour)).unwrap();
+    assert!(own.is_empty());
+    let [object] = objects;
+    room.put(object).unwrap();
+    let light = ["point pos=0.3,3.4,0.5 power=60"];
+    let [edited, anew] = [&room, &anew].map(|bake| indirect(bake, &light, &[at(0.6, 0.55, -0.8)]));
+    assert!(apart(&edited, &anew) < 5e-3, "{}", apart(&edited, &anew));
+    let other = Recolour { material: "nothing".to_owned(), ..colour };
+    let refused = share_colours(&room.scene.manifest, &mut [], &[other]).unwrap_err().to_string();
+    assert!(refused.contains("'nothing'"), "{refused}");
 }
 
 /// A closed ball of two sides is as one of one: its inner side, which nothing sees, takes no part.

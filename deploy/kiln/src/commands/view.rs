@@ -24,7 +24,8 @@ pub struct Arguments {
     source: BakeArgument,
     #[command(flatten)]
     look: LookArguments,
-    /// Object beside the bake, which the panel moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]",
+    /// Object beside the bake, which the panel moves: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] [scale=s] [time=seconds] [clip=n]
+    /// [swing=yaw,pitch,roll] [hinge=x,y,z]",
     /// as of 'kiln preview'; may be given often
     #[arg(long, value_name = "OBJECT", value_parser = parse_object, help_heading = "Picture")]
     object: Vec<ObjectArgument>,

@@ -59,7 +59,7 @@ struct State {
 }
 
 fn stance(position_m: [f32; 3], turn_deg: [f32; 3], scale: f32, (clip, time_s): (u32, f32)) -> Stance {
-    Stance { position_m, turn_deg, scale, clip, time_s }
+    Stance { position_m, turn_deg, scale, clip, time_s, ..Stance::default() }
 }
 
 /// A lamp, a spot and a sun in turn, with two toys that go about in the box and before it, one of which comes to rest.
