@@ -84,20 +84,23 @@ pub fn share_colours(
 ) -> Result<Vec<Recolour>> {
     check_colours(manifest, objects, colours)?;
     for object in objects {
-        let Beside::Baked { name, bake } = object else { continue };
-        let own = named_in(&bake.scene, colours);
-        if own.is_empty() {
-            continue;
+        if let Beside::Baked { bake, .. } = object {
+            recolour(bake, colours)?;
         }
-        let bake = Arc::get_mut(bake).ok_or_else(|| ClientError::Argument {
-            what: format!("object '{name}'"),
-            problem: "stands beside another bake already, with the colours that it has".to_owned(),
-        })?;
-        bake.recolour(&own)?;
     }
     let is_own =
         |colour: &&Recolour| manifest.materials.iter().any(|material| material.name == colour.material);
     Ok(colours.iter().filter(is_own).cloned().collect())
+}
+
+/// Gives an object's bake those colours whose names its materials have.
+pub(super) fn recolour(bake: &mut Arc<LoadedBake>, colours: &[Recolour]) -> Result<()> {
+    let own = named_in(&bake.scene, colours);
+    let Some(first) = own.first() else { return Ok(()) };
+    let what = format!("material '{}'", first.material);
+    let problem = "is that of an object which stands elsewhere as well, with the colour that it has; load the object anew";
+    let bake = Arc::get_mut(bake).ok_or(ClientError::Argument { what, problem: problem.to_owned() })?;
+    bake.recolour(&own)
 }
 
 impl LoadedBake {

@@ -64,9 +64,13 @@ impl LoadedBake {
         Ok(Self::new(scene, light))
     }
 
-    /// Gives materials other colours, from which all light follows; the bake's own are gone.
+    /// Gives materials other colours, from which all light follows; the bake's own are gone. Errs for materials of objects whose bakes others
+    /// share: [`share_colours`] is for these.
     pub fn recolour(&mut self, colours: &[Recolour]) -> Result<()> {
         let tints = Tints::of(&self.scene, colours)?;
+        for mover in &mut self.movers {
+            among::recolour(&mut mover.bake, colours)?;
+        }
         self.tint_light(&tints);
         let colours: Vec<[f32; 4]> = (0..self.scene.manifest.materials.len())
             .map(|material| tints.base_colour(&self.scene, material as u32))

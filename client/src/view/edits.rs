@@ -67,6 +67,8 @@ pub struct Colour {
     pub baked: [f32; 3],
     /// Linear base colour.
     pub now: [f32; 3],
+    /// It was given, be it that of the bake: other materials of this name may have another there.
+    pub is_given: bool,
     /// Of glass, whose colour stays.
     pub is_glass: bool,
 }
@@ -85,6 +87,7 @@ impl Edits {
                         material: material.name.clone(),
                         baked: [r, g, b],
                         now: recolour.map_or([r, g, b], |recolour| recolour.base_colour),
+                        is_given: recolour.is_some(),
                         is_glass: material.glass.is_some(),
                     });
                 }
@@ -131,7 +134,7 @@ impl Edits {
 
     /// Colours that are not the bake's.
     pub fn recolours(&self) -> Vec<Recolour> {
-        let changed = self.colours.iter().filter(|colour| colour.now != colour.baked);
+        let changed = self.colours.iter().filter(|colour| colour.is_given || colour.now != colour.baked);
         changed
             .map(|colour| Recolour { material: colour.material.clone(), base_colour: colour.now })
             .collect()

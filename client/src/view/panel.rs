@@ -283,8 +283,9 @@ fn materials(ui: &mut Ui, edits: &mut Edits) {
             }
             colour_button(ui, &mut colour.now);
             ui.label(&colour.material);
-            if colour.now != colour.baked && ui.small_button("as baked").clicked() {
-                colour.now = colour.baked;
+            let is_other = colour.is_given || colour.now != colour.baked;
+            if is_other && ui.small_button("as baked").clicked() {
+                (colour.now, colour.is_given) = (colour.baked, false);
             }
         });
     }

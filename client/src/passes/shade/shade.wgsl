@@ -210,8 +210,10 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
     if view.horizon.w == 1.0 {
         return vec4f(indirect.towards, met.stopped);
     }
-    var diffuse = indirect.towards;
-    var reflected = gloss.reflectance * (1.0 / PI) * indirect.lobe;
+    find_moved(draw.index, surface);
+    let seen = seen_light(surface, before(surface.position), gloss);
+    var diffuse = changed(indirect.towards, seen.moved);
+    var reflected = gloss.reflectance * (1.0 / PI) * (indirect.lobe + given_about(surface, surface.lobe));
     let parts = u32(view.ray_per_x.w);
     // Walks are of what is behind glass.
     if (parts & 7u) != 0u && draw.transmission == 0.0 && draw.blends == 0.0 {
@@ -226,9 +228,6 @@ fn shade(corner: Corner, @builtin(front_facing) front: bool) -> @location(0) vec
             reflected = select(reflected, gloss.reflectance * own.reflected, (parts & 1u) != 0u && own.reflects);
         }
     }
-    find_moved(draw.index, surface);
-    let seen = seen_light(surface, before(surface.position), gloss);
-    diffuse = changed(diffuse, seen.moved);
     var radiance = met.emission + met.albedo * gloss.diffuse * (1.0 / PI) * (seen.irradiance + diffuse);
     if HAS_GLOSS {
         radiance += seen.reflected + reflected;

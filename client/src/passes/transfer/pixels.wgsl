@@ -12,14 +12,21 @@ fn draw_within(index: u32) -> u32 {
     return codes[index] & ((1u << DRAW_BITS) - 1u);
 }
 
-// What points of emitters give to the surface.
+// The object whose surface it is, or none.
+var<private> own_object: u32;
+
+// What points of emitters give to it.
 var<private> given: vec3f;
+
+fn given_about(surface: Surface, normal: vec3f) -> vec3f {
+    return given_to(own_object, surface.position, normal, surface.facet);
+}
 
 // Finds what objects change at a surface; `moved_by` and `changed` tell it then.
 fn find_moved(draw_index: u32, surface: Surface) {
-    let own = (codes[draw_index] >> DRAW_BITS) - 1u;
-    find_changes(own, surface.position, surface.towards);
-    given = given_to(own, surface.position, surface.towards, surface.facet);
+    own_object = (codes[draw_index] >> DRAW_BITS) - 1u;
+    find_changes(own_object, surface.position, surface.towards);
+    given = given_about(surface, surface.towards);
 }
 
 // What a lamp that stands for an object's sight changes, of the share of it that is in sight.
