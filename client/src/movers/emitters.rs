@@ -9,7 +9,8 @@ use lightkiln_proto::voxels::{Start, VoxelTable, walk, walk_within};
 use super::{ball_of, is_long, is_open};
 use crate::bake::{LoadedBake, emitter_radiance};
 use crate::passes::shade::surface::mapped_uv;
-use crate::passes::transfer::{EMITTER_POINTS, EmitterPoint};
+use crate::passes::shadow::EMITTER_POINTS;
+use crate::passes::transfer::EmitterPoint;
 use crate::scene::{LoadedDraw, LoadedScene};
 
 /// Share of all light that a group sends below which it is split no further.
@@ -52,7 +53,7 @@ struct Triangle {
     share: Vec3,
 }
 
-/// What sees emitters: an object's viewpoints.
+/// Viewpoints of an object, which see emitters.
 #[derive(Clone, Copy, Debug)]
 struct Seeing<'a> {
     from_m: &'a [Vec3],
@@ -66,7 +67,7 @@ struct Seeing<'a> {
 struct Piece {
     triangle: Triangle,
     radiance: Vec3,
-    /// What it sends to the object: irradiance of a surface that faces it, in luminance, over viewpoints.
+    /// Irradiance that it sends to the object, of a surface that faces it, in luminance, as a mean over viewpoints.
     sent: f32,
 }
 
@@ -170,7 +171,7 @@ fn share_of(groups: &[Group], emitter: usize) -> f32 {
 }
 
 impl Seeing<'_> {
-    /// What a point sends, over viewpoints.
+    /// Irradiance that a point sends, in luminance, as a mean over viewpoints.
     fn sent_by(&self, point: &EmitterPoint) -> f32 {
         let light: Vec3 = self.from_m.iter().map(|at_m| point.irradiance(*at_m, None)).sum();
         light.dot(Vec3::new(0.2126, 0.7152, 0.0722)) / self.from_m.len().max(1) as f32

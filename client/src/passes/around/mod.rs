@@ -12,8 +12,9 @@ use wgpu::ShaderStages as Stages;
 
 use crate::error::{ClientError, Result};
 use crate::passes::gpu::{Gpu, storage_read, storage_write, uniform};
+use crate::passes::shadow::EMITTER_POINTS;
 use crate::passes::stopwatch::Recorder;
-use crate::passes::transfer::{EMITTER_POINTS, MoverTable, rows_of};
+use crate::passes::transfer::{MoverTable, rows_of};
 use crate::passes::walk::{WalkTable, walks_source};
 
 pub use mix::{MixNumbers, MixPass};

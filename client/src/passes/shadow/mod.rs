@@ -12,7 +12,7 @@ pub(in crate::passes) use gpu::{cleared_depth, nearer_wins};
 pub use panes::Pane;
 pub(in crate::passes) use panes::tested_alone;
 pub use plan::{Eye, Face, Light, LightCount, MAX_SIDE, MIN_SIDE, RECT_FACES, ShadowPlan, ShadowRoom};
-pub use sights::{SIGHT_SIDE, SightPlaces};
+pub use sights::{EMITTER_POINTS, SIGHT_SIDE, SightPlaces};
 
 /// The shader.
 pub const SHADER: &str = include_str!("shadow.wgsl");

@@ -8,10 +8,11 @@ use super::{Face, Light, ShadowPlan, cleared_depth};
 use crate::passes::gpu::Gpu;
 use crate::passes::meshes::Meshes;
 use crate::passes::stopwatch::Recorder;
-use crate::passes::transfer::EMITTER_POINTS;
 
 /// Texels along a face of the cube at an object's middle. More → sharper ends of its effect at edges of walls.
 pub const SIGHT_SIDE: u32 = 64;
+/// Most points of emitters for each object. More → softer edges of shadows of wide emitters, time in proportion.
+pub const EMITTER_POINTS: usize = 16;
 /// Faces of a cube.
 pub(super) const SIGHT_FACES: u32 = 6;
 /// Tiles of an object: what it sees, then it as emitters see it.

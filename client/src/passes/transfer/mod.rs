@@ -8,7 +8,7 @@ mod table;
 
 pub use feed::{FeedNumbers, FeedPass};
 pub use moved::{MovedBuffers, MovedNumbers, MovedPass};
-pub use silhouettes::{EMITTER_POINTS, EmitterPoint, Silhouettes, silhouette_plan};
+pub use silhouettes::{EmitterPoint, Silhouettes, silhouette_plan};
 pub(in crate::passes) use table::rows_of;
 pub use table::{MOVERS_MAX, MoverLevelRow, MoverNumbers, MoverRow, MoverTable};
 

@@ -15,7 +15,7 @@ fn draw_within(index: u32) -> u32 {
 // The object whose surface it is, or none.
 var<private> own_object: u32;
 
-// What points of emitters give to it.
+// Irradiance that points of emitters give to it.
 var<private> given: vec3f;
 
 fn given_about(surface: Surface, normal: vec3f) -> vec3f {

@@ -7,8 +7,6 @@ use crate::passes::shadow::reference::{ShadowMaps, draw_own};
 use crate::passes::shadow::{Face, SIGHT_SIDE, ShadowPlan};
 use crate::scene::LoadedScene;
 
-/// Most points of emitters for each object. More → softer edges of shadows of wide emitters, time in proportion.
-pub const EMITTER_POINTS: usize = 16;
 /// Least distance of a point from an object's middle in radii: what is nearer sees no more than this much of it.
 const OUTSIDE: f32 = 1.05;
 

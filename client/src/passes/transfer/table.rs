@@ -4,10 +4,10 @@ use bytemuck::Zeroable as _;
 use glam::{Affine3A, Vec4};
 use lightkiln_proto::transfer::{HIDDEN_SIDE, HIDDEN_WIDTHS, LEVELS, Lattice, TransferLevel, TransferTable};
 
-use super::{EMITTER_POINTS, EmitterPoint};
+use super::EmitterPoint;
 use crate::error::{ClientError, Result};
 use crate::passes::gpu::Gpu;
-use crate::passes::shadow::SightPlaces;
+use crate::passes::shadow::{EMITTER_POINTS, SightPlaces};
 
 /// Most objects with volumes.
 pub const MOVERS_MAX: usize = 16;
