@@ -73,6 +73,19 @@ pub struct ReceiverLight {
     pub probes: Vec<Vec4>,
 }
 
+impl ReceiverLight {
+    /// E_ind with E_emit by slot, W·m⁻²: all but what lamps send at once.
+    pub fn without_direct(&self) -> impl Iterator<Item = Vec4> + '_ {
+        self.indirect.iter().zip(&self.emit).map(|(indirect, emit)| *indirect + *emit)
+    }
+
+    /// Adds to E_ind by slot what objects give and take, W·m⁻²; the sum with E_emit is never below 0.
+    pub(crate) fn add_moved(&mut self, moved: &[Vec4]) {
+        let own = self.indirect.iter_mut().zip(&self.emit).zip(moved);
+        own.for_each(|((indirect, emit), moved)| *indirect = (*indirect + *moved).max(-*emit));
+    }
+}
+
 /// Light at receivers after the last bounce.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SettledReceivers {

@@ -23,6 +23,7 @@ mod lod;
 mod movers;
 mod objects;
 mod overlay;
+mod receivers;
 mod room;
 #[cfg(test)]
 mod tests;
@@ -384,22 +385,12 @@ impl<'a> Frame<'a> {
                 self.light.publish(encoder);
             });
         }
-        let Some(buffers) = self.light.at_receivers() else { return Ok(None) };
-        let ReceiverBuffers { direct, emit, indirect, count, probes } = buffers;
-        let probes = probes.filter(|(_, rows)| *rows > 0);
-        let emit: Vec<Vec4> = self.gpu.read(emit, count)?;
-        let mut indirect: Vec<Vec4> = self.gpu.read(indirect, count)?;
-        if let Some(at) = self.light.moved() {
-            let moved: Vec<Vec4> = self.gpu.read(at.moved, count)?;
-            let own = indirect.iter_mut().zip(&moved).zip(&emit);
-            own.for_each(|((light, moved), emit)| *light = (*light + *moved).max(-*emit));
-        }
-        Ok(Some(ReceiverLight {
-            direct: self.gpu.read(direct, count)?,
-            emit,
-            indirect,
-            probes: probes.map_or(Ok(Vec::new()), |(rows, count)| self.gpu.read(rows, count))?,
-        }))
+        receivers::read(&self.gpu, &*self.light)
+    }
+
+    /// Light at receivers of objects with bakes of their own, as of the last [`Frame::read_receivers`], after a wait.
+    pub fn read_objects(&self) -> Result<Vec<ReceiverLight>> {
+        self.movers.as_ref().map_or(Ok(Vec::new()), |movers| movers.read(&self.gpu))
     }
 
     /// The buffers that hold light at receivers on the adapter; `None` for a kind without receivers. Bounces that follow write to them.

@@ -9,7 +9,8 @@ use lightkiln_proto::voxels::first_of_sky;
 
 use super::Frame;
 use super::bounces::Bounces;
-use crate::bake::{LightPasses, LoadedBake, Mover, Unshadowed, emitter_radiance};
+use super::receivers;
+use crate::bake::{LightPasses, LoadedBake, Mover, ReceiverLight, Unshadowed, emitter_radiance};
 use crate::error::{ClientError, Result};
 use crate::lights::Sky;
 use crate::movers::{Before, Emitters, ball_of, is_long, is_open};
@@ -257,6 +258,11 @@ impl Movers {
     /// Records the step from the bounces' result to the bindings of shading.
     pub(super) fn publish(&self, encoder: &mut Recorder<'_>) {
         self.each.iter().for_each(|own| own.light.publish(encoder));
+    }
+
+    /// Light at receivers of each as of the last [`Movers::publish`], after a wait.
+    pub(super) fn read(&self, gpu: &Gpu) -> Result<Vec<ReceiverLight>> {
+        self.each.iter().map(|own| Ok(receivers::read(gpu, &*own.light)?.unwrap_or_default())).collect()
     }
 
     /// How they are shaded.

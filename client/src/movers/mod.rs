@@ -11,7 +11,9 @@ use lightkiln_proto::transfer::{Hidden, PartRadiance, Standing, Surroundings, Tr
 use lightkiln_proto::voxels::{Start, VoxelTable, walk_within};
 use rayon::prelude::*;
 
-use crate::bake::{Among, LitScene, LoadedBake, Mover, SettledLight, SettledReceivers, Unshadowed};
+use crate::bake::{
+    Among, LitScene, LoadedBake, Mover, ReceiverLight, SettledLight, SettledReceivers, Unshadowed,
+};
 use crate::error::Result;
 use crate::passes::shade::{IndirectIrradiance, ShadeView, Surface};
 use crate::passes::transfer::reference::{Effect, Sight, change};
@@ -87,17 +89,27 @@ impl<'a> Standings<'a> {
         SettledLight { indirect, ..settled }
     }
 
-    /// Light at the bake's own receivers, E_ind with what objects give and take; `None` for a kind without receivers.
-    pub fn at_receivers(&'a self, lit: &LitScene<'a>, limit: Limit) -> Option<SettledReceivers> {
+    /// Light at the bake's own receivers and at those of its objects, E_ind with what objects give and take; `None` for a kind without receivers.
+    pub fn at_receivers(
+        &'a self,
+        lit: &LitScene<'a>,
+        limit: Limit,
+    ) -> Option<(SettledReceivers, Vec<ReceiverLight>)> {
         let light = &self.bake.light;
         if self.placed.is_empty() {
-            return light.at_receivers(lit, &Among::default(), limit);
+            return Some((light.at_receivers(lit, &Among::default(), limit)?, Vec::new()));
         }
-        let (SettledLight { converged, .. }, moved) = self.balanced(lit, limit);
+        let (settled, moved) = self.balanced(lit, limit);
         let mut found = light.at_receivers(lit, &moved.among(), limit)?;
-        let own = found.light.indirect.iter_mut().zip(&found.light.emit).zip(&moved.statics);
-        own.for_each(|((indirect, emit), moved)| *indirect = (*indirect + *moved).max(-*emit));
-        Some(SettledReceivers { converged, ..found })
+        found.light.add_moved(&moved.statics);
+        let of_object = |placed: &Placed<'_>, own: &LitScene<'_>, among: &Among<'_>, _: &Viewpoints| {
+            let found = placed.mover.bake.light.at_receivers(own, among, limit);
+            let mut light = found.map(|found| found.light).unwrap_or_default();
+            light.add_moved(among.moved.unwrap_or_default());
+            light
+        };
+        let objects = self.of_objects(lit, &settled, &moved, of_object);
+        Some((SettledReceivers { converged: settled.converged, ..found }, objects))
     }
 
     /// Light of the bake, without what objects add at its pixels, and that, after as many rounds as change it.
@@ -129,6 +141,26 @@ impl<'a> Standings<'a> {
         moved: &Moved,
         limit: Limit,
     ) -> Vec<Lit<'a>> {
+        let of = |placed: &'a Placed<'a>, own: &LitScene<'a>, among: &Among<'_>, viewpoints: &Viewpoints| {
+            let Placed { mover, volume, .. } = placed;
+            let settled = mover.bake.light.settle(own, among, limit);
+            let radiance =
+                settled.walks.as_ref().map(|walks| volume.radiance(&walks.lambda, &walks.emitters));
+            let radiance = Arc::new(radiance.unwrap_or_default());
+            let hidden = Arc::new(volume.hidden(viewpoints));
+            Lit { indirect: settled.indirect, hidden, radiance }
+        };
+        self.of_objects(lit, settled, moved, of)
+    }
+
+    /// Calls for each object with its scene under the lights, with where it stands and what comes to it, and with its viewpoints.
+    fn of_objects<T>(
+        &'a self,
+        lit: &LitScene<'a>,
+        settled: &SettledLight<'_>,
+        moved: &Moved,
+        call: impl Fn(&'a Placed<'a>, &LitScene<'a>, &Among<'_>, &Viewpoints) -> T,
+    ) -> Vec<T> {
         let of = |(index, placed): (usize, &'a Placed<'a>)| {
             let Placed { mover, volume, world_from_object, shares, .. } = placed;
             let walked = settled.walks.as_ref().map(|walks| walks.light_without(shares));
@@ -147,12 +179,7 @@ impl<'a> Standings<'a> {
             let unshadowed = Unshadowed { emitter_scale: &[], panorama: None, ..lit.unshadowed };
             let of_object = LitScene { scene: &mover.bake.scene, unshadowed, lod: None, ..*lit };
             let among = Among { around: Some(&around), moved: own, ..among };
-            let settled = mover.bake.light.settle(&of_object, &among, limit);
-            let radiance =
-                settled.walks.as_ref().map(|walks| volume.radiance(&walks.lambda, &walks.emitters));
-            let radiance = Arc::new(radiance.unwrap_or_default());
-            let hidden = Arc::new(volume.hidden(&viewpoints));
-            Lit { indirect: settled.indirect, hidden, radiance }
+            call(placed, &of_object, &among, &viewpoints)
         };
         self.placed.iter().enumerate().map(of).collect()
     }

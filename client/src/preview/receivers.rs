@@ -6,7 +6,7 @@ use glam::Vec3;
 use lightkiln_proto::scene::{SceneCamera, SceneLight};
 
 use super::{Backend, Prepared, View};
-use crate::bake::{LoadedBake, SettledReceivers};
+use crate::bake::{LoadedBake, ReceiverLight, SettledReceivers};
 use crate::error::{ClientError, Result};
 use crate::frame::{Frame, FrameRoom};
 use crate::lights::Panorama;
@@ -20,6 +20,8 @@ use crate::scene::Stance;
 pub struct LitReceivers {
     /// The light.
     pub settled: SettledReceivers,
+    /// Light at receivers of objects with bakes of their own, in their order.
+    pub objects: Vec<ReceiverLight>,
     /// Adapter or processor, with the reason.
     pub lit_by: String,
 }
@@ -70,9 +72,10 @@ pub fn light_receivers_among(
     };
     let maps = draw(&prepared.scene, &prepared.plan);
     let standings = Standings::new(bake, &view.objects, &view.emitter_scale)?;
-    let settled = standings.at_receivers(&prepared.lit(&maps), view.limit);
+    let found = standings.at_receivers(&prepared.lit(&maps), view.limit);
+    let (settled, objects) = found.ok_or_else(|| without_receivers(bake))?;
     let lit_by = format!("the processor, slower than a graphics adapter ({reason})");
-    Ok(LitReceivers { settled: settled.ok_or_else(|| without_receivers(bake))?, lit_by })
+    Ok(LitReceivers { settled, objects, lit_by })
 }
 
 fn on_adapter(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<LitReceivers> {
@@ -86,7 +89,7 @@ fn on_adapter(gpu: &Gpu, prepared: &Prepared<'_>) -> Result<LitReceivers> {
     let (bounces, converged) = frame.settle(view.limit)?;
     let light = frame.read_receivers()?.ok_or_else(|| without_receivers(bake))?;
     let settled = SettledReceivers { light, bounces, converged };
-    Ok(LitReceivers { settled, lit_by: gpu.name.clone() })
+    Ok(LitReceivers { settled, objects: frame.read_objects()?, lit_by: gpu.name.clone() })
 }
 
 fn without_receivers(bake: &LoadedBake) -> ClientError {

@@ -18,8 +18,8 @@ use crate::fetch::Source;
 
 pub use draws::{DrawTable, LoadedDraw, Vertex};
 pub use lightmap::{LightmapLayout, MAX_ATLAS_TEXELS, MAX_PAGE_SIDE, MAX_PAGES, NO_BLOCK, PlacedBlock};
-pub use objects::{Object, ObjectShape, Rigid, Stance};
-pub(crate) use objects::{PosedDraw, bounds_of, check_stances, turn_of, world_from_object};
+pub use objects::{Object, ObjectShape, Rigid, Stance, world_from_object};
+pub(crate) use objects::{PosedDraw, bounds_of, check_stances, turn_of};
 pub use recolour::{ALBEDO_MAX, Albedo, Recolour, Tints, check_recolours};
 pub(crate) use recolour::{check_among, named_in};
 pub(crate) use texture::srgb_of_linear;

@@ -245,7 +245,7 @@ pub(crate) fn check_stances(scene: &LoadedScene, stances: &[Stance]) -> Result<(
 }
 
 /// Place of an object: `T · R_y(yaw) · R_x(pitch) · R_z(roll) · s · H`, H its swing about its hinge.
-pub(crate) fn world_from_object(stance: &Stance) -> Affine3A {
+pub fn world_from_object(stance: &Stance) -> Affine3A {
     let turn = |degrees: [f32; 3]| {
         let [yaw, pitch, roll] = degrees.map(f32::to_radians);
         Quat::from_euler(EulerRot::YXZ, yaw, pitch, roll)

@@ -112,6 +112,8 @@ impl fmt::Display for Failure {
     }
 }
 
+impl StdError for Failure {}
+
 /// The client's errors already say what was wrong, where, and what to do.
 impl From<ClientError> for Failure {
     fn from(error: ClientError) -> Self {

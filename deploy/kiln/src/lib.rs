@@ -43,6 +43,8 @@ use clap::{CommandFactory as _, FromArgMatches as _};
 use tracing::Span;
 
 use command_line::CommandLine;
+pub use evaluation::amid;
+pub use failure::{Failure, Result};
 use kinds::KindTables;
 
 /// Runs the command line of this process to its end; bakes may be of `kinds`.

@@ -13,7 +13,7 @@ use lightkiln_client::passes::gpu::Gpu;
 use lightkiln_client::passes::shade;
 use lightkiln_client::passes::shadow::ShadowRoom;
 use lightkiln_client::passes::transfer::{OUTLIERS, TOLERANCE};
-use lightkiln_client::preview::{Backend, View, light_receivers_among, render};
+use lightkiln_client::preview::{Backend, LitReceivers, View, light_receivers_among, render};
 use lightkiln_client::scene::{Recolour, Stance};
 use lightkiln_proto::relight::Limit;
 use lightkiln_proto::scene::SceneCamera;
@@ -50,14 +50,12 @@ fn at(x: f32, y: f32, z: f32) -> Stance {
 
 /// Indirect light at receivers under a light in words, emitters at full.
 fn indirect(bake: &LoadedBake, lights: &[&str], stances: &[Stance]) -> Vec<Vec4> {
-    indirect_by(Backend::Cpu, bake, lights, stances)
+    lit_by(Backend::Cpu, bake, lights, stances).settled.light.without_direct().collect()
 }
 
-fn indirect_by(backend: Backend, bake: &LoadedBake, lights: &[&str], stances: &[Stance]) -> Vec<Vec4> {
+fn lit_by(backend: Backend, bake: &LoadedBake, lights: &[&str], stances: &[Stance]) -> LitReceivers {
     let lights = parse_lights(lights).unwrap().lights;
-    let lit = light_receivers_among(bake, lights, None, Vec::new(), stances, backend).unwrap();
-    let light = lit.settled.light;
-    light.indirect.iter().zip(&light.emit).map(|(ind, emit)| *ind + *emit).collect()
+    light_receivers_among(bake, lights, None, Vec::new(), stances, backend).unwrap()
 }
 
 /// A bake with objects in it.
@@ -150,15 +148,21 @@ fn box_and_panel_give_and_take_as_paths_do() {
             // Ends of hard shadows within texels of 25 cm are as wrong with an object as where it is ignored.
             lights: ["point", "sky-uniform", "emitters"].map(str::to_owned).into(),
         };
-        for (light, shares) in measured(&setting).unwrap() {
-            println!("{name} {}: {shares:?}", light.name);
-            let [own, ignored, alone] = [shares.with_object[0], shares.ignored[0], shares.alone];
+        for (light, errors) in measured(&setting).unwrap() {
+            let all = [&errors.near, &errors.near_ignored, &errors.near_alone, &errors.own];
+            let [own, ignored, alone, on_itself] = all.map(|judged| judged.figures.rel_rmse);
+            let [energy, energy_on_itself] =
+                [&errors.near, &errors.own].map(|judged| judged.figures.energy_ratio);
+            println!(
+                "{name} {}: {own} {ignored} {alone} {energy}, on itself {on_itself} {energy_on_itself}",
+                light.name
+            );
             // The error that the bake has without any object is no fault of it.
             let of_object = (own * own - alone * alone).max(0.0).sqrt();
             let of_ignoring = (ignored * ignored - alone * alone).max(0.0).sqrt();
             let most = if light.name == "emitters" { 0.2 } else { 0.35 };
             assert!(of_object < most * of_ignoring, "{name} {}: {of_object} {of_ignoring}", light.name);
-            assert!((0.95..1.05).contains(&shares.energy), "{}: {}", light.name, shares.energy);
+            assert!((0.95..1.05).contains(&energy), "{}: {energy}", light.name);
         }
     }
 }
@@ -315,8 +319,17 @@ fn adapter_lights_objects_as_the_processor_does() {
         let turned = Stance { turn_deg: [35.0, 0.0, 10.0], ..at(0.9, 0.2, -1.4) };
         let stances = [turned, Stance { scale: 0.35, ..at(-0.2, 0.0, 0.4) }];
         let aside = [Stance { position_m: [0.95, 0.2, -1.4], ..turned }, stances[1]];
+        let lit = [Backend::Gpu, Backend::Cpu].map(|backend| lit_by(backend, &bake, &light, &stances));
         let [adapter, processor] =
-            [Backend::Gpu, Backend::Cpu].map(|backend| indirect_by(backend, &bake, &light, &stances));
+            lit.each_ref().map(|lit| lit.settled.light.without_direct().collect::<Vec<Vec4>>());
+        for (adapter, processor) in lit[0].objects.iter().zip(&lit[1].objects) {
+            let [adapter, processor] =
+                [adapter, processor].map(|own| own.without_direct().collect::<Vec<_>>());
+            let same = apart(&adapter, &processor);
+            println!("{kind}, receivers of an object: apart {same:.5}");
+            assert!(same < TOLERANCE && adapter.len() > 100, "{same}");
+        }
+        assert_eq!(lit.each_ref().map(|lit| lit.objects.len()), [2, 2]);
         let other = apart(&indirect(&bake, &light, &aside), &processor);
         let far = indirect(&bake, &light, &[at(60.0, 0.0, 0.0), at(80.0, 0.0, 0.0)]);
         let (far, same) = (apart(&far, &processor), apart(&adapter, &processor));

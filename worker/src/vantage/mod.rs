@@ -1,11 +1,12 @@
 //! Vantage points: places in free space and the view from each, of rays and triangles alone, so that they are the same for
 //! every bake of a scene. From them a camera and a light are chosen where the file has none (task `scene.frame`), and the
-//! lights that bakes are measured under.
+//! lights that bakes are measured under, and places for objects.
 
 mod camera;
 mod light;
 mod look;
 mod openness;
+mod standing;
 
 use std::cell::OnceCell;
 
@@ -17,6 +18,7 @@ use crate::task::{Context, TaskError, TaskOutput};
 
 pub use look::{Look, VantagePoint, in_rooms, vantage_points};
 pub use openness::Openness;
+pub use standing::{StandingPlace, standing_places};
 
 /// Name under which tasks see the framing.
 pub const FRAMING: &str = "frame/framing";

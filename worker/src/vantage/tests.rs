@@ -2,7 +2,7 @@ use glam::Vec3;
 use lightkiln_proto::scene::LightKind;
 
 use super::*;
-use crate::scene::model::{MeshInstance, Scene};
+use crate::scene::model::{Material, MeshInstance, Scene};
 use crate::scene::{Bundle, Limits, import};
 
 fn scene(bundle: &[u8]) -> Scene {
@@ -163,4 +163,64 @@ fn view_from_outside_is_filled_by_things_of_any_shape() {
         steepness(Vec3::new(100.0, 0.1, 60.0)) > 1.5 * steepness(Vec3::ONE),
         "flat things are seen from above"
     );
+}
+
+/// Two rooms of 4 × 4 × 3 m beside each other, and a door of 1 × 2 m in the wall between.
+fn rooms_with_a_door() -> Scene {
+    let mut scene = Scene { materials: vec![Material::opaque("grey", [0.5; 3])], ..Scene::default() };
+    scene.materials[0].double_sided = true;
+    let mut wall = |corner: [f32; 3], u: [f32; 3], v: [f32; 3]| {
+        let [corner, u, v] = [corner, u, v].map(Vec3::from);
+        scene.instances.push(MeshInstance {
+            path: format!("wall {corner} {u}"),
+            positions_m: vec![corner, corner + u, corner + u + v, corner + v],
+            normals: vec![u.cross(v).normalize(); 4],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..MeshInstance::default()
+        });
+    };
+    wall([-4.0, 0.0, -2.0], [0.0, 0.0, 4.0], [8.0, 0.0, 0.0]);
+    wall([-4.0, 3.0, -2.0], [8.0, 0.0, 0.0], [0.0, 0.0, 4.0]);
+    for (corner, u) in [
+        ([-4.0, 0.0, -2.0], [8.0, 0.0, 0.0]),
+        ([-4.0, 0.0, 2.0], [8.0, 0.0, 0.0]),
+        ([-4.0, 0.0, -2.0], [0.0, 0.0, 4.0]),
+        ([4.0, 0.0, -2.0], [0.0, 0.0, 4.0]),
+        ([-0.1, 0.0, -2.0], [0.0, 0.0, 1.2]),
+        ([0.1, 0.0, -2.0], [0.0, 0.0, 1.2]),
+        ([-0.1, 0.0, -0.8], [0.2, 0.0, 0.0]),
+        ([-0.1, 0.0, 0.2], [0.2, 0.0, 0.0]),
+        ([-0.1, 0.0, 0.2], [0.0, 0.0, 1.8]),
+        ([0.1, 0.0, 0.2], [0.0, 0.0, 1.8]),
+    ] {
+        wall(corner, u, [0.0, 3.0, 0.0]);
+    }
+    wall([-0.1, 2.0, -0.8], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]);
+    wall([0.1, 2.0, -0.8], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]);
+    wall([-0.1, 2.0, -0.8], [0.0, 0.0, 1.0], [0.2, 0.0, 0.0]);
+    scene
+}
+
+#[test]
+fn objects_stand_in_the_open_beside_walls_and_in_doorways_where_they_fit() {
+    let geometry = Geometry::new(rooms_with_a_door()).unwrap();
+    let (places, notes) = standing_places(&geometry, [Vec3::new(-0.3, -0.5, -0.2), Vec3::new(0.3, 0.5, 0.2)]);
+    let names: Vec<&str> = places.iter().map(|place| place.name).collect();
+    assert_eq!(names, ["floor", "wall", "doorway"], "{notes:?}");
+    let [open, wall, door] = [0, 1, 2].map(|index| Vec3::from(places[index].stance.position_m));
+    assert!(places.iter().all(|place| (place.stance.position_m[1] - 0.502).abs() < 1e-4), "{places:?}");
+    assert!(open.x.abs() > 1.0 && open.x.abs() < 3.0 && open.z.abs() < 1.2, "{open}");
+    let to_wall = (4.0 - wall.x.abs()).min(2.0 - wall.z.abs()).min(wall.x.abs() - 0.1);
+    assert!(
+        (to_wall - 0.25).abs() < 1e-3,
+        "its back, 20 cm behind its middle, is 5 cm before the wall: {wall}"
+    );
+    assert!(door.x.abs() < 0.15 && (door.z + 0.3).abs() < 0.01, "{door}");
+    // A door is too narrow for a table.
+    let (places, notes) = standing_places(&geometry, [Vec3::new(-0.7, 0.0, -0.6), Vec3::new(0.7, 0.8, 0.6)]);
+    let names: Vec<&str> = places.iter().map(|place| place.name).collect();
+    assert_eq!(names, ["floor", "wall"]);
+    assert_eq!(notes, ["doorway: no doorway was found in which it fits"]);
+    let (places, notes) = standing_places(&geometry, [Vec3::ZERO, Vec3::splat(5.0)]);
+    assert!(places.is_empty() && notes.len() == 3, "{notes:?}");
 }

@@ -116,6 +116,8 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     for mover in &movers {
         say!("mover {}", mover.node);
         let done = bake(&mover.scene, &mover.wanted, mover.object.file(), Instant::now())?;
+        let (out, nodes) = (mover.object.file(), &arguments.movers.mover);
+        complete_report(out, &NotedScene::of_object(&arguments.scene, nodes, &mover.node, out), &done)?;
         moving.push(MoverSummary::of(&mover.node, mover.object.words(), &done));
     }
     let mut summary = bake(&scene, &wanted, &out, started)?;

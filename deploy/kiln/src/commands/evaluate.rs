@@ -8,18 +8,20 @@ use lightkiln_client::fetch::ApiClient;
 use lightkiln_client::lights::parse_camera;
 use lightkiln_proto::evaluation::{EvaluationFile, EvaluationIndex, EvaluationMedia, STILLS};
 use lightkiln_proto::ids::Digest;
+use lightkiln_proto::scene::SceneCamera;
 
 use super::site::{evaluation, stills};
 use crate::arguments::BakeArgument;
 use crate::console::{printable, put_json, say};
 use crate::evaluation::{
-    EvaluationArguments, check, draw, measure, packed_scene_of_bundle, words, write_dump, write_page,
-    write_pixels,
+    EvaluationArguments, Wanted, check, check_objects, draw, evaluate, measure, object_words,
+    packed_scene_of_bundle, part_of_bundle, words, write_dump, write_objects, write_page, write_pixels,
 };
 use crate::failure::{EXIT_CODES, Failure, Result};
 use crate::interrupt::Interrupt;
 use crate::kinds::KindTables;
 use crate::lighting::LightArguments;
+use crate::objects::{ObjectArgument, parse_object};
 use crate::outputs::{check_file, check_folder};
 use crate::picture::parse_size;
 use crate::submission::{PackedScene, SceneArguments};
@@ -36,7 +38,20 @@ pub struct Arguments {
     /// Folder that holds the scene and the files that it names, as of 'kiln bake' [default: the scene's own]
     #[arg(long, value_name = "DIR", requires = "scene")]
     root: Option<PathBuf>,
-    /// Folder to write a page with pictures to (evaluation.html, evaluation.json, pictures), as 'kiln site --evaluation' takes it
+    /// Object to measure amid the bake, instead of the bake's own places: "FILE [pos=x,y,z] [turn=yaw,pitch,roll] …", as of 'kiln preview
+    /// --object', where FILE is the bundle of an object's own bake; may be given often, each is measured alone. Without words it stands in
+    /// the open, beside a wall and in a doorway, as far as it fits, at places chosen from the scene. Near it are --receivers places, half as
+    /// many elsewhere and on its own surface. --fail-if then names near_rel_rmse, near_energy_ratio, near_ratio, all_rel_rmse,
+    /// all_energy_ratio, own_rel_rmse or own_energy_ratio
+    #[arg(
+        long,
+        value_name = "OBJECT",
+        value_parser = parse_object,
+        conflicts_with_all = ["attach", "dump", "dump_pixels", "pixels", "place"]
+    )]
+    objects: Vec<ObjectArgument>,
+    /// Folder to write a page with pictures to (evaluation.html, evaluation.json, pictures), as 'kiln site --evaluation' takes it; with
+    /// --objects, objects.html, objects.json and pictures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Camera of the pictures of --out, e.g. "eye=0,1.6,4 target=0,1,0 fov=50" (metres, degrees) [default: the scene's
@@ -71,6 +86,9 @@ pub struct Arguments {
 /// Measures, writes what is wanted, and holds the figures to the limits.
 pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     let camera = arguments.camera.as_deref().map(parse_camera).transpose()?;
+    if !arguments.objects.is_empty() {
+        return run_objects(&arguments, kinds, camera);
+    }
     arguments.wanted.check_figures(&kinds.worker)?;
     arguments.wanted.own_lights()?;
     if arguments.dump_pixels.is_some() && arguments.wanted.pixels() == 0 {
@@ -107,11 +125,36 @@ pub fn run(arguments: Arguments, kinds: &KindTables) -> Result<()> {
     check(&arguments.wanted.fail_if, &measured.evaluation)
 }
 
+/// The same with objects amid the bake.
+fn run_objects(arguments: &Arguments, kinds: &KindTables, camera: Option<SceneCamera>) -> Result<()> {
+    arguments.wanted.check_object_figures()?;
+    arguments.out.as_deref().map_or(Ok(()), check_folder)?;
+    let source = arguments.source.open()?;
+    let scene = scene_of(arguments, arguments.source.on_farm()?.as_ref())?;
+    let wanted = Wanted {
+        objects: &arguments.objects,
+        arguments: &arguments.wanted,
+        lighting: &arguments.lighting,
+        draws: arguments.out.is_some().then_some((camera, arguments.size)),
+    };
+    let evaluation = evaluate(kinds, &source, scene, &wanted, &Interrupt::default())?;
+    eprint!("{}", printable(&object_words(&evaluation)));
+    if let Some(out) = &arguments.out {
+        write_objects(out, &evaluation)?;
+    }
+    if arguments.json {
+        put_json(&evaluation);
+    }
+    check_objects(&arguments.wanted.fail_if, &evaluation)
+}
+
 /// The scene: as given, as the farm has it, or where the bundle's report says.
 fn scene_of(arguments: &Arguments, farm: Option<&(ApiClient, String)>) -> Result<PackedScene> {
     match (&arguments.scene, farm) {
-        (Some(path), _) => {
-            PackedScene::read(&SceneArguments { path: path.clone(), root: arguments.root.clone() })
+        (Some(path), farm) => {
+            let scene =
+                PackedScene::read(&SceneArguments { path: path.clone(), root: arguments.root.clone() })?;
+            if farm.is_some() { Ok(scene) } else { part_of_bundle(scene, arguments.source.folder()) }
         }
         (None, Some((client, id))) => PackedScene::of_bake(client, &client.bake(id)?),
         (None, None) => packed_scene_of_bundle(arguments.source.folder()),

@@ -8,6 +8,7 @@ use lightkiln_worker::evaluate::{PIXEL_CLASSES, TestLight, lights_of_file};
 use lightkiln_worker::kinds::BakeKinds;
 
 use super::limits::Limit;
+use super::objects::OBJECT_FIGURES;
 use crate::failure::{Failure, Result};
 
 /// Strata of the sample of which one is measured at its pixel too.
@@ -73,6 +74,11 @@ impl EvaluationArguments {
     pub fn check_figures(&self, kinds: &BakeKinds) -> Result<()> {
         let classes = [kinds.error_classes(), PIXEL_CLASSES.into()].concat();
         self.fail_if.iter().try_for_each(|limit| limit.check_figure(&classes))
+    }
+
+    /// The same of figures of objects.
+    pub fn check_object_figures(&self) -> Result<()> {
+        self.fail_if.iter().try_for_each(|limit| limit.check_among(&OBJECT_FIGURES))
     }
 
     /// Errs where a bake of that kind has nothing at the place, --pixels asks for what no picture shows, or --lights for light that it cannot have;

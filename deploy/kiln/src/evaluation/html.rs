@@ -29,7 +29,8 @@ const HISTOGRAM_END: f64 = 0.5;
 /// Worst clusters listed.
 const WORST: usize = 12;
 
-const STYLE: &str = "body{font:15px/1.4 system-ui,sans-serif;margin:2em;max-width:1700px;color:#222}\
+/// Style of pages.
+pub const STYLE: &str = "body{font:15px/1.4 system-ui,sans-serif;margin:2em;max-width:1700px;color:#222}\
 table{border-collapse:collapse}td,th{padding:.2em .7em;text-align:right;border-bottom:1px solid #ddd}\
 td:first-child,th:first-child{text-align:left}figure{display:inline-block;margin:.4em}\
 figcaption{font-size:13px;color:#555}img{image-rendering:auto;max-width:100%;border:1px solid #ccc}\
@@ -249,7 +250,8 @@ fn legend() -> String {
     html + " of the mean of the reference; blue is too dark, red too bright, grey is no receiver.</p>"
 }
 
-fn figure(caption: &str, picture: &Bitmap) -> Result<String> {
+/// A picture inline, with its caption.
+pub fn figure(caption: &str, picture: &Bitmap) -> Result<String> {
     let png = png_of(picture)?;
     let caption = escaped(caption);
     Ok(format!(
@@ -261,7 +263,8 @@ fn figure(caption: &str, picture: &Bitmap) -> Result<String> {
     ))
 }
 
-fn escaped(text: &str) -> String {
+/// Text that is no HTML.
+pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -69,7 +69,12 @@ impl FromStr for Limit {
 impl Limit {
     /// Errs unless the limit names a figure or one of `classes`.
     pub fn check_figure(&self, classes: &[&str]) -> Result<()> {
-        let mut known = FIGURES.iter().chain(classes);
+        self.check_among(&[&FIGURES, classes].concat())
+    }
+
+    /// Errs unless the limit names one of those figures.
+    pub fn check_among(&self, figures: &[&str]) -> Result<()> {
+        let mut known = figures.iter();
         if known.clone().any(|figure| *figure == self.figure) {
             return Ok(());
         }
@@ -78,24 +83,37 @@ impl Limit {
         Err(Failure::bad_input(what).try_this(format!("one of {names}")))
     }
 
+    /// The figure that it names.
+    pub fn figure(&self) -> &str {
+        &self.figure
+    }
+
+    /// The light that it names, if it names one, by names and whether they count; errs when none that counts has the name.
+    pub fn light_among<'a, T>(
+        &self,
+        lights: &'a [T],
+        named: impl Fn(&'a T) -> (&'a str, bool),
+    ) -> Result<Option<&'a T>> {
+        let Some(wanted) = &self.light else { return Ok(None) };
+        let Some(light) = lights.iter().find(|light| named(light).0 == wanted) else {
+            let names: Vec<&str> = lights.iter().map(|light| named(light).0).collect();
+            let what = format!("--fail-if '{}' names a light that was not measured", self.text);
+            return Err(Failure::bad_input(what).try_this(format!("one of {}", names.join(", "))));
+        };
+        if !named(light).1 {
+            let what = format!("--fail-if '{}' names a light that reaches too few places", self.text);
+            return Err(Failure::bad_input(what).try_this("more --receivers, or another light"));
+        }
+        Ok(Some(light))
+    }
+
     /// The figure's value and the ends of its interval, or the value for both; errs when no light has the name, or the bake
     /// no such class of error.
     fn value(&self, evaluation: &Evaluation) -> Result<(f64, [f64; 2])> {
-        let (figures, classes, pixels) = match &self.light {
+        let light = self.light_among(&evaluation.lights, |row| (&row.name, row.counts))?;
+        let (figures, classes, pixels) = match light {
             None => (&evaluation.figures, &evaluation.classes, &evaluation.pixels),
-            Some(name) => {
-                let row = evaluation.lights.iter().find(|row| row.name == *name);
-                let row = row.ok_or_else(|| {
-                    let names: Vec<&str> = evaluation.lights.iter().map(|row| row.name.as_str()).collect();
-                    let what = format!("--fail-if '{}' names a light that was not measured", self.text);
-                    Failure::bad_input(what).try_this(format!("one of {}", names.join(", ")))
-                })?;
-                if !row.counts {
-                    let what = format!("--fail-if '{}' names a light that reaches too few places", self.text);
-                    return Err(Failure::bad_input(what).try_this("more --receivers, or another light"));
-                }
-                (&row.figures, &row.classes, &row.pixels)
-            }
+            Some(row) => (&row.figures, &row.classes, &row.pixels),
         };
         if let Some(found) = pixels.as_ref().and_then(|pixels| self.at_pixels(pixels)) {
             return Ok(found);
@@ -145,16 +163,31 @@ impl Limit {
     }
 }
 
+/// A limit, and the value of its figure.
+pub struct Held<'a> {
+    /// The limit.
+    pub limit: &'a Limit,
+    /// Object and place, in words behind the limit's; empty of a whole evaluation.
+    pub of: String,
+    /// The value, and the ends of its interval.
+    pub value: (f64, [f64; 2]),
+}
+
 /// Fails with [`Exit::LimitBroken`] when the evaluation breaks a limit for sure: at both ends of the figure's 95 % interval, or
 /// by a figure that is no number. Names every one that it does, and says on standard error where one end does.
 pub fn check(limits: &[Limit], evaluation: &Evaluation) -> Result<()> {
+    let held = |limit| Ok(Held { limit, of: String::new(), value: Limit::value(limit, evaluation)? });
+    check_held(limits.iter().map(held).collect::<Result<_>>()?)
+}
+
+/// As [`check`], of limits whose figures are known.
+pub fn check_held(held: Vec<Held<'_>>) -> Result<()> {
     let mut broken = Vec::new();
-    for limit in limits {
-        let (value, [low, high]) = limit.value(evaluation)?;
+    for Held { limit, of, value: (value, [low, high]) } in held {
         // Nothing compares with NaN, which keeps no limit.
         let is_broken = |end: f64| value.is_nan() || end.is_nan() || (limit.is_broken)(&end, &limit.bound);
         let ends = [low, high].map(is_broken);
-        let words = format!("{} (it is {value:.4}, 95 % between {low:.4} and {high:.4})", limit.text);
+        let words = format!("{}{of} (it is {value:.4}, 95 % between {low:.4} and {high:.4})", limit.text);
         match ends {
             [true, true] => broken.push(words),
             [false, false] => {}

@@ -5,9 +5,10 @@ use lightkiln_client::fetch::Source;
 use lightkiln_proto::ids::Digest;
 use lightkiln_proto::manifest::{ChunkRef, Manifest};
 use lightkiln_worker::evaluate::{
-    Chosen, EvaluationError, Evaluator, LightResult, Options, cluster_errors, default_lights, panorama_light,
-    usable_lights,
+    Chosen, EvaluationError, Evaluator, LightResult, Options, TestLight, cluster_errors, default_lights,
+    panorama_light, usable_lights,
 };
+use lightkiln_worker::geometry::Geometry;
 use lightkiln_worker::reference::Precision;
 use lightkiln_worker::task::Progress;
 
@@ -64,7 +65,6 @@ pub fn measure(
     let pixels = if bake.lightmap().is_some() { wanted.pixels() } else { 0 };
     let precision = Precision { rel_error: wanted.rel_error, ..Precision::default() };
     let options = Options { receivers: wanted.receivers, precision, pixels, ..Options::default() };
-    let usable = |lights| usable_lights(bake.geometry(), lighting.rest_of_tests(lights)).map_err(failure);
     let chosen = match (bake.own_light(), own) {
         (Some(_), Some(_)) => return Err(not_relightable(&manifest.kind)),
         (Some(light), None) => {
@@ -74,18 +74,7 @@ pub fn measure(
             }
             Chosen { lights, notes: Vec::new() }
         }
-        (None, Some(mut lights)) => {
-            lights.extend(panorama);
-            usable(lights)?
-        }
-        (None, None) => {
-            let chosen = default_lights(bake.geometry());
-            let mut lights = chosen.lights;
-            lights.extend(panorama);
-            let mut usable = usable(lights)?;
-            usable.notes.splice(0..0, chosen.notes);
-            usable
-        }
+        (None, own) => lights_to_measure(bake.geometry(), own, panorama, lighting)?,
     };
     for note in &chosen.notes {
         say!("note: {note}");
@@ -118,6 +107,23 @@ pub fn measure(
         say!("note: {note}");
     }
     Ok(Measured { evaluator, results, evaluation })
+}
+
+/// Lights to measure with: `own`, or some that are chosen from the scene, and a panorama; without those that are left out or cannot be.
+pub fn lights_to_measure(
+    geometry: &Geometry,
+    own: Option<Vec<TestLight>>,
+    panorama: Option<TestLight>,
+    lighting: &LightArguments,
+) -> Result<Chosen> {
+    let Chosen { mut lights, notes } = match own {
+        Some(lights) => Chosen { lights, notes: Vec::new() },
+        None => default_lights(geometry),
+    };
+    lights.extend(panorama);
+    let mut usable = usable_lights(geometry, lighting.rest_of_tests(lights)).map_err(failure)?;
+    usable.notes.splice(0..0, notes);
+    Ok(usable)
 }
 
 fn summed_up(

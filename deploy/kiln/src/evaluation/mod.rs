@@ -1,5 +1,6 @@
-//! A bundle held against the path tracer: its scene, the measurement, limits, tables and pages.
+//! A bundle held against the path tracer, alone and with objects in it: its scene, the measurement, limits, tables and pages.
 
+pub mod amid;
 mod arguments;
 mod dump;
 mod flip;
@@ -8,6 +9,7 @@ mod heat;
 mod html;
 mod limits;
 mod measure;
+mod objects;
 mod pictures;
 mod pixels;
 mod scene;
@@ -20,6 +22,7 @@ pub use gallery::{FOLDER as GALLERY_FOLDER, Gallery, LIST as GALLERY_LIST};
 pub use html::{FIGURES, PAGE, write_page};
 pub use limits::check;
 pub use measure::measure;
+pub use objects::{Wanted, check_objects, evaluate, object_words, write_objects};
 pub use pictures::draw;
-pub use scene::{NotedScene, packed_scene_of_bundle};
+pub use scene::{NotedScene, packed_scene_of_bundle, part_of_bundle};
 pub use table::{Evaluation, words};

@@ -18,23 +18,44 @@ pub struct NotedScene {
     /// Nodes that were left out of it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     scene_movers: Vec<String>,
+    /// That of them whose bake it is, of a node that moves.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scene_object: Option<String>,
 }
 
 impl NotedScene {
     /// That of a scene.
     pub fn of(scene: &SceneArguments, movers: &[String], bundle: &Path) -> Self {
         let scene_root = scene.root.as_ref().and_then(|root| relative_path(bundle, root));
-        let scene_movers = movers.to_vec();
-        Self { scene_path: relative_path(bundle, &scene.path), scene_root, scene_movers }
+        let (scene_path, scene_movers) = (relative_path(bundle, &scene.path), movers.to_vec());
+        Self { scene_path, scene_root, scene_movers, scene_object: None }
+    }
+
+    /// That of a node that moves, with those that were left out beside it.
+    pub fn of_object(scene: &SceneArguments, movers: &[String], node: &str, bundle: &Path) -> Self {
+        Self { scene_object: Some(node.to_owned()), ..Self::of(scene, movers, bundle) }
     }
 }
 
-/// The scene that a bundle was baked from, as its report notes it, without the nodes that were left out.
+/// The scene that a bundle was baked from, as its report notes it.
 pub fn packed_scene_of_bundle(bundle: &Path) -> Result<PackedScene> {
-    let scene = PackedScene::read(&scene_of_bundle(bundle)?)?;
-    let movers = report_of(bundle).map(|report| report["scene_movers"].clone());
-    let movers = movers.and_then(|movers| serde_json::from_value(movers).ok()).unwrap_or_default();
-    Ok(if let Some(nodes) = nodes_that_move(movers) { scene.split(&nodes)?.0 } else { scene })
+    part_of_bundle(PackedScene::read(&scene_of_bundle(bundle)?)?, bundle)
+}
+
+/// The part of a scene that a bundle was baked from, as its report notes it: without nodes that move, or one of these alone.
+pub fn part_of_bundle(scene: PackedScene, bundle: &Path) -> Result<PackedScene> {
+    let report = report_of(bundle).unwrap_or_default();
+    let movers = serde_json::from_value(report["scene_movers"].clone()).unwrap_or_default();
+    let Some(nodes) = nodes_that_move(movers) else { return Ok(scene) };
+    let name = scene.name.clone();
+    let (rest, split) = scene.split(&nodes)?;
+    let Some(node) = report["scene_object"].as_str() else { return Ok(rest) };
+    let own = split.objects.into_iter().find(|object| object.name == node);
+    own.map(|object| PackedScene::new(&name, object.scene)).ok_or_else(|| {
+        let what =
+            format!("the scene has no more the node '{node}', which {} was baked from", bundle.display());
+        Failure::bad_input(what).try_this("the scene as it was then")
+    })
 }
 
 fn report_of(bundle: &Path) -> Option<Value> {

@@ -105,6 +105,8 @@ fn mover_is_baked_once_and_stands_in_pictures_where_the_scene_has_it() {
         0,
     );
 
+    measured_amid_its_scene(at, words);
+
     // Elsewhere in the room, and in another room, it is the same object; the room without it is the same, too.
     room(at, "moved.glb", [-0.2, 0.1, 0.3], |_| {});
     let moved = bake(at, "moved.glb", &["--mover", BOX], 0).json();
@@ -118,6 +120,50 @@ fn mover_is_baked_once_and_stands_in_pictures_where_the_scene_has_it() {
     assert_eq!(other["movers"][0]["tasks_run"], 0, "{other}");
     assert!(other["tasks_run"].as_u64().unwrap() > 5, "{other}");
     assert_eq!(bundle(&at.join("room.short_box.kiln")), bundle(&at.join("other.short_box.kiln")));
+}
+
+/// An evaluation of an object finds its scene and that of the bake around, and measures where it is said to stand, or on floor and wall.
+fn measured_amid_its_scene(at: &Path, words: &str) {
+    let lights = json!({"lights": [{"name": "lamp", "type": "point", "position_m": [0.0, 2.5, -2.0], "strength": [9, 9, 9]}]});
+    std::fs::write(at.join("lights.json"), lights.to_string()).unwrap();
+    let evaluate = |objects: &str, more: &[&str], exit: i32| {
+        let few = ["--receivers", "120", "--rel-error", "0.2", "--lights", "lights.json", "--json"];
+        let arguments = [&["evaluate", "room.kiln", "--objects", objects][..], &few, more].concat();
+        run(within(at), &arguments, exit)
+    };
+    let pictures = ["--out", "page", "--size", "16x12", "--fail-if", "lamp.near_ratio>3"];
+    let figures = evaluate(words, &pictures, 0).json();
+    let row = &figures["objects"][0];
+    let number = |name: &str, figure: &str| row["lights"][0][name][figure].as_f64().unwrap();
+    assert_eq!((&row["place"], &row["stance"]), (&json!("said"), &json!("pos=0.15,0,0.1 turn=45,0,0")));
+    assert!((0.7..1.3).contains(&number("near", "energy_ratio")), "{row}");
+    assert!((0.5..2.0).contains(&number("own", "energy_ratio")), "{row}");
+    assert!(number("near", "rel_rmse") < number("near_ignored", "rel_rmse"), "{row}");
+    let page = std::fs::read_to_string(at.join("page/objects.html")).unwrap();
+    assert!(page.contains("data:image/png;base64,") && !page.contains("http"));
+    let strip = image::open(at.join("page/0-said-lamp.png")).unwrap();
+    assert_eq!([strip.width(), strip.height()], [5 * 16, 12]);
+    let file = words.split(' ').next().unwrap();
+    let broken = evaluate(file, &["--fail-if", "near_energy_ratio>0.1"], 4);
+    let places = broken.json()["objects"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| row["place"].clone())
+        .collect::<Vec<_>>();
+    assert_eq!(places, ["floor", "wall"]);
+    for told in ["near_energy_ratio>0.1 of room.short_box.kiln at wall", "no doorway was found"] {
+        assert!(broken.stderr().contains(told), "{}", broken.stderr());
+    }
+    for (objects, more, told) in [
+        ("room.glb", &[][..], "is no bundle of an object"),
+        ("room.kiln", &[], "bake it with --kind transfer"),
+        (words, &["--fail-if", "rel_rmse>0.1"], "names no figure"),
+        (words, &["--pixels", "3"], "--pixels"),
+    ] {
+        let refused = evaluate(objects, more, 2);
+        assert!(refused.stderr().contains(told), "{}", refused.stderr());
+    }
 }
 
 #[test]
