@@ -14,7 +14,7 @@ use crate::scene::{Object, Recolour, Stance, check_among, named_in, turn_of, wor
 pub struct Among<'a> {
     /// Its own space in that of the lights, of uniform scale: they are one where it is not an object that moves.
     pub world_from_scene: Affine3A,
-    /// Irradiance by slot of what is around it, W·m⁻², in place of the sky: [`Light::under`](super::Light::under).
+    /// Irradiance by slot of what is around it, W·m⁻², in place of the sky: what [`Light::sky_rows`](super::Light::sky_rows) make of it.
     pub around: Option<&'a [Vec4]>,
     /// Irradiance by slot that objects beside it give and take, W·m⁻².
     pub moved: Option<&'a [Vec4]>,

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use glam::{Affine3A, Vec4};
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
-    LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, PatchTable, Sky,
+    LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, Panorama, PatchTable, Sky, SkyRows,
 };
 use lightkiln_proto::transfer::TransferTable;
 use lightkiln_proto::voxels::VoxelTable;
@@ -193,9 +193,8 @@ pub trait Light: Debug + Send + Sync {
         None
     }
 
-    /// Irradiance by slot of radiance of the parts of the sky alone, before any bounce, W·m⁻²; `None` for a kind without receivers.
-    fn under(&self, sky: &[Vec4]) -> Option<Vec<Vec4>> {
-        let _ = sky;
+    /// Irradiance at receivers by parts of the sky alone, before any bounce; made when it is first asked for. `None` for a kind without receivers.
+    fn sky_rows(&self) -> Option<&SkyRows> {
         None
     }
 
@@ -362,14 +361,14 @@ pub trait LightPasses {
     }
 
     /// Makes room for light of what is around the bake of an object, once; from then on bounces have it.
-    fn make_around(&mut self, gpu: &Gpu, around: &AroundPass) -> Result<()> {
-        let _ = (gpu, around);
+    fn make_around(&mut self, gpu: &Gpu, around: &AroundPass, rows: &SkyRows) -> Result<()> {
+        let _ = (gpu, around, rows);
         Ok(())
     }
 
-    /// Records that light, of what viewpoints see now. Twin: [`Light::under`].
-    fn light_around(&self, encoder: &mut Recorder<'_>, around: &AroundPass) {
-        let _ = (encoder, around);
+    /// Records that light, of what viewpoints see now.
+    fn light_around(&self, encoder: &mut Recorder<'_>) {
+        let _ = encoder;
     }
 
     /// Makes what [`LightPasses::set_lod`] needs, once.

@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
-use lightkiln_proto::transfer::{TransferTable, viewpoint_places};
+use lightkiln_proto::transfer::TransferTable;
 use lightkiln_proto::voxels::first_of_sky;
 
 use super::Frame;
@@ -13,7 +13,7 @@ use super::receivers;
 use crate::bake::{LightPasses, LoadedBake, Mover, ReceiverLight, Unshadowed, emitter_radiance};
 use crate::error::{ClientError, Result};
 use crate::lights::Sky;
-use crate::movers::{Before, Emitters, ball_of, is_long, is_open};
+use crate::movers::{Before, Emitters, ball_of, is_open, lattice_of};
 use crate::passes::around::AroundPass;
 use crate::passes::change::ChangePass;
 use crate::passes::gpu::Gpu;
@@ -87,7 +87,7 @@ impl Movers {
             let parts = own.light.voxels().map_or(0, |(_, patches)| patches.sky_parts);
             let lambda = light.lambda().ok_or_else(lacking)?;
             let around = AroundPass::new(gpu, &walks, (volume, parts), (&emitters, lambda), (&table, index))?;
-            light.make_around(gpu, &around)?;
+            light.make_around(gpu, &around, own.light.sky_rows().ok_or_else(lacking)?)?;
             light.make_moved(gpu)?;
             let moved = light.moved().map(|at| MovedPass::new(gpu, shadow, &table, at, Some(index)));
             let change = light.feedback().map(|feedback| ChangePass::new(gpu, feedback)).transpose()?;
@@ -141,15 +141,11 @@ impl Movers {
             let Some(volume) = own.bake.light.volume() else { continue };
             let middle_m = place.transform_point3(volume.middle_m());
             plans.push(Sight::plan(&bake.scene, middle_m)?);
-            let seen_from = viewpoint_places(volume.box_m(), is_long(volume, place));
+            let lattice = lattice_of(volume, place);
             let is_open = |at_m: Vec3| {
                 let voxels = bake.light.voxels();
                 voxels.is_some_and(|(voxels, _)| is_open(voxels, middle_m, place.transform_point3(at_m)))
             };
-            let open = seen_from
-                .iter()
-                .zip(0..)
-                .fold(0, |open, (at_m, bit)| open | u32::from(is_open(*at_m)) << bit);
             let emitters = self.around.as_ref().map(|around| &around.emitters);
             let of_emitters = emitters.map(|emitters| emitters.before(bake, emitter_scale, (volume, place)));
             let Before { points, shares } = of_emitters.unwrap_or_default();
@@ -157,7 +153,7 @@ impl Movers {
             shadow.set_silhouettes(gpu, index, &plan.faces);
             own.points = points.len();
             before.push(points);
-            own.around.set(gpu, place, (seen_from.len() as u32, open), &shares);
+            own.around.set(gpu, place, (&lattice, is_open), &shares);
             own.light.set_place(gpu, place);
             if let Some(moved) = &own.moved {
                 moved.set_place(gpu, place);
@@ -211,7 +207,7 @@ impl Movers {
         let Some(around) = &self.around else { return };
         for own in &self.each {
             own.around.look(encoder, &around.walks);
-            own.light.light_around(encoder, &own.around);
+            own.light.light_around(encoder);
         }
         for moved in self.each.iter().filter_map(|own| own.moved.as_ref()) {
             moved.record(&mut encoder.compute("light by objects"), shadow);

@@ -13,7 +13,7 @@ use lightkiln_proto::content::ClusterTransport;
 use lightkiln_proto::manifest::Manifest;
 use lightkiln_proto::relight::{
     Columns, Incoming, Inconsistent, LOD_LEVELS, LevelCount, Limit, Lod, LodEye, LodPlan, LodTable, NO_PATCH,
-    PatchTable, Settled, SlotTable, Transport,
+    PatchTable, Settled, SkyRows, SlotTable, Transport,
 };
 use lightkiln_proto::transfer::TransferTable;
 use lightkiln_proto::voxels::VoxelTable;
@@ -78,6 +78,8 @@ pub struct LightmapLight<C> {
     pub volume: Option<TransferTable>,
     /// Made when it is first asked for.
     lod: OnceLock<LodTable>,
+    /// Likewise.
+    sky_rows: OnceLock<SkyRows>,
 }
 
 impl<C: Columns> LightmapLight<C> {
@@ -106,7 +108,8 @@ impl<C: Columns> LightmapLight<C> {
         let texels = AtlasTexels::new(&scene.lightmap, &transport.slots, &transport.receivers);
         let points =
             TexelPoints::new((&scene.draws, &scene.lightmap), &transport.slots, &transport.receivers);
-        Ok(Self { transport, texels, points, voxels: None, volume: None, lod: OnceLock::new() })
+        let (lod, sky_rows) = (OnceLock::new(), OnceLock::new());
+        Ok(Self { transport, texels, points, voxels: None, volume: None, lod, sky_rows })
     }
 
     /// Bounces until they converge, E_dir from shadow maps.
@@ -208,8 +211,8 @@ impl<C: ClientColumns> Light for LightmapLight<C> {
         Some(self.settled(lit, among, limit).at_receivers(Vec::new()))
     }
 
-    fn under(&self, sky: &[Vec4]) -> Option<Vec<Vec4>> {
-        Some(self.transport.under(&Threads, sky))
+    fn sky_rows(&self) -> Option<&SkyRows> {
+        Some(self.sky_rows.get_or_init(|| self.transport.sky_rows(&Threads)))
     }
 
     fn passes(

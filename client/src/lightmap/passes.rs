@@ -1,7 +1,7 @@
 //! The passes of light in a lightmap on the adapter, with their buffers.
 
 use glam::{Affine3A, Vec4};
-use lightkiln_proto::relight::{LodPlan, LodTable};
+use lightkiln_proto::relight::{LodPlan, LodTable, SkyRows};
 
 use super::moved::{AroundLight, MovedLight};
 use super::{ClientColumns, LightmapLight};
@@ -147,13 +147,13 @@ impl LightPasses for LightmapPasses {
         Some(MovedBuffers { positions, normals, moved, count: *count })
     }
 
-    fn make_around(&mut self, gpu: &Gpu, around: &AroundPass) -> Result<()> {
-        self.around = Some(AroundLight::new(gpu, &self.resident, around)?);
+    fn make_around(&mut self, gpu: &Gpu, around: &AroundPass, rows: &SkyRows) -> Result<()> {
+        self.around = Some(AroundLight::new(gpu, &self.resident, around, rows)?);
         Ok(())
     }
 
-    fn light_around(&self, encoder: &mut Recorder<'_>, around: &AroundPass) {
-        self.record_around(encoder, around);
+    fn light_around(&self, encoder: &mut Recorder<'_>) {
+        self.around.iter().for_each(|around| around.record(encoder));
     }
 
     fn make_lod(&mut self, gpu: &Gpu, table: &LodTable) -> Result<()> {

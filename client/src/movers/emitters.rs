@@ -3,10 +3,10 @@
 
 use glam::{Affine3A, Vec3};
 use lightkiln_proto::harmonics::relight_direction;
-use lightkiln_proto::transfer::{TransferTable, viewpoint_places};
+use lightkiln_proto::transfer::{TransferTable, ViewpointLattice};
 use lightkiln_proto::voxels::{Start, VoxelTable, walk, walk_within};
 
-use super::{ball_of, is_long, is_open};
+use super::{ball_of, is_open};
 use crate::bake::{LoadedBake, emitter_radiance};
 use crate::passes::shade::surface::mapped_uv;
 use crate::passes::shadow::EMITTER_POINTS;
@@ -98,9 +98,8 @@ impl Emitters {
     ) -> Before {
         let Some((voxels, _)) = bake.light.voxels() else { return Before::default() };
         let (middle_m, radius_m) = ball_of(volume, world_from_object);
-        let viewpoints = viewpoint_places(volume.box_m(), is_long(volume, world_from_object));
-        let viewpoints: Vec<Vec3> = viewpoints
-            .into_iter()
+        let viewpoints: Vec<Vec3> = ViewpointLattice::of_corners(volume.box_m())
+            .places()
             .map(|at_m| world_from_object.transform_point3(at_m))
             .filter(|at_m| is_open(voxels, middle_m, *at_m) && is_free(voxels, *at_m))
             .collect();

@@ -7,7 +7,9 @@ use std::sync::Arc;
 
 use glam::{Affine3A, Vec3, Vec4};
 use lightkiln_proto::relight::Limit;
-use lightkiln_proto::transfer::{Hidden, PartRadiance, Standing, Surroundings, TransferTable, Viewpoints};
+use lightkiln_proto::transfer::{
+    Hidden, PartRadiance, Standing, Surroundings, TransferTable, ViewpointLattice, Viewpoints,
+};
 use lightkiln_proto::voxels::{Start, VoxelTable, walk_within};
 use rayon::prelude::*;
 
@@ -27,9 +29,6 @@ pub(crate) use emitters::{Before, Emitters};
 const ROUNDS_MAX: usize = 6;
 /// Change of ΔE by a round, as a share of it, that ends them: bounces end sooner than they would tell less apart.
 const CHANGE_MAX: f64 = 5e-3;
-
-/// Length of objects from which on the light around them is looked for at the corners of their bounds, in metres.
-const LONG_M: f32 = 0.5;
 
 /// Objects of a bake where they stand.
 pub struct Standings<'a> {
@@ -166,7 +165,7 @@ impl<'a> Standings<'a> {
             let walked = settled.walks.as_ref().map(|walks| walks.light_without(shares));
             let among = Among { world_from_scene: *world_from_object, ..Among::default() };
             let parts = mover.bake.light.voxels().map_or(0, |(_, patches)| patches.sky_parts);
-            let viewpoints = Viewpoints::new(volume.box_m(), is_long(volume, world_from_object), |from_m| {
+            let viewpoints = Viewpoints::new(lattice_of(volume, world_from_object), |from_m| {
                 let light = walked.as_ref()?;
                 let [middle_m, from_m] =
                     [volume.middle_m(), from_m].map(|at_m| world_from_object.transform_point3(at_m));
@@ -221,20 +220,24 @@ fn at_receivers(bake: &LoadedBake, place: Affine3A, of: impl Fn(Vec3, Vec3) -> V
 
 /// Irradiance at an object's receivers by slot of what its viewpoints see, each receiver's by its place among them, W·m⁻².
 fn around_of(bake: &LoadedBake, viewpoints: &Viewpoints) -> Vec<Vec4> {
-    let Some(lightmap) = bake.light.lightmap(&bake.scene) else { return Vec::new() };
-    let seen = viewpoints.seen().filter_map(|seen| bake.light.under(seen.radiance()));
-    let by_viewpoint: Vec<Vec<Vec4>> = seen.collect();
+    let map = bake.light.lightmap(&bake.scene).zip(bake.light.sky_rows());
+    let Some((lightmap, rows)) = map else { return Vec::new() };
     let receivers = lightmap.receivers.position_m.par_iter().enumerate();
     let of_slot = |(slot, at_m): (usize, &Vec4)| {
         let weights = viewpoints.weights(at_m.truncate());
-        by_viewpoint.iter().zip(weights).map(|(own, weight)| weight * own[slot]).sum()
+        let of = |(seen, weight): (&Option<Surroundings>, f32)| {
+            let seen = seen.as_ref().filter(|_| weight > 0.0)?;
+            let parts = rows.row(slot).iter().zip(seen.radiance());
+            Some(weight * parts.map(|(share, radiance)| *share * *radiance).sum::<Vec4>())
+        };
+        viewpoints.seen().iter().zip(weights).filter_map(of).sum::<Vec4>().max(Vec4::ZERO)
     };
     receivers.map(of_slot).collect()
 }
 
-/// Whether light around an object is looked for at the corners of its bounds.
-pub(crate) fn is_long(volume: &TransferTable, world_from_object: &Affine3A) -> bool {
-    2.0 * volume.half_side_m() * world_from_object.matrix3.x_axis.length() > LONG_M
+/// Viewpoints of an object where it stands.
+pub(crate) fn lattice_of(volume: &TransferTable, world_from_object: &Affine3A) -> ViewpointLattice {
+    ViewpointLattice::new(volume.box_m(), world_from_object.matrix3.x_axis.length())
 }
 
 /// Middle and radius of the ball around an object's bounds where it stands.

@@ -222,7 +222,7 @@ macro_rules! twins {
 fn twins() -> BTreeMap<&'static str, Layout> {
     twins! {
         "FeedNumbers": FeedNumbers { count, stride }
-        "MixNumbers": MixNumbers { count, stride, viewpoint }
+        "MixNumbers": MixNumbers { count, stride, words }
         "MovedNumbers": MovedNumbers { rows, count, stride, own, pad }
         "Mover": MoverRow { rows, middle_m, half_side_m, scale, points, pad1, pad2, levels }
         "MoverLevel": MoverLevelRow { stops_m, outer, half_m, inner, nodes, first_part, part_count, first_code, pad }
@@ -230,7 +230,7 @@ fn twins() -> BTreeMap<&'static str, Layout> {
         "PartOwn": PartOwn { middle_m, first, emitted, count }
         "PartShare": PartShare { place, share }
         "Place": PlaceNumbers { rows }
-        "Viewpoints": ViewpointNumbers { rows, middle_m, count, half_m, open, walks, parts, tangent, part_count, first_light, pad0, pad1, pad2, pointed }
+        "Viewpoints": ViewpointNumbers { rows, middle_m, count, half_m, walks, counts, parts, open, tangent, part_count, first_light, pad0, pad1, pad2, pointed }
         "BrickRow": BrickRow { cell, level }
         "ElementRow": ElementRow { normal, height_m, bits, patch_number, marks }
         "Pixels": WalkPixels {

@@ -86,18 +86,6 @@ impl<C: Columns> Transport<C> {
         self.settle_in(parallel, incoming, limit, None)
     }
 
-    /// Irradiance at receivers by slot of radiance of the parts of the sky alone, before any bounce, W·m⁻²; emitters are at full.
-    pub fn under(&self, parallel: &impl Parallel, sky: &[Vec4]) -> Vec<Vec4> {
-        let Self { receivers, clusters, walked, columns, .. } = self;
-        let mut lambda = vec![Vec4::ZERO; columns.lambda_count()];
-        let first = lambda.len() - sky.len();
-        lambda[first..].copy_from_slice(sky);
-        let mut start = vec![Vec4::ZERO; receivers.len()];
-        walked.gather(parallel, &lambda, &mut start);
-        let emit = self.emitter_irradiance(&[]);
-        clusters.reconstruct(parallel, &clusters.basis(parallel, &lambda), &start, Some(&emit))
-    }
-
     /// As [`Transport::settle`], in some detail. E_ind has settled when bounces in which each cluster takes part once change it by
     /// less than the limit together.
     pub fn settle_in(

@@ -28,7 +28,7 @@ pub use hidden::{HIDDEN_SIDE, HIDDEN_WIDTHS, Hidden, NARROWEST, RIM, hidden_axes
 pub use lattice::{Axis, FADE_H, Lattice, REACH_H};
 pub use surroundings::{Surroundings, WALKS_OF_PART, directions_of_walks, tangent_of_walks};
 pub use table::{Cap, Covered, PartRadiance, Standing, TransferTable};
-pub use viewpoints::{Viewpoints, viewpoint_bounds, viewpoint_places};
+pub use viewpoints::{VIEWPOINTS_A_SIDE, ViewpointLattice, Viewpoints};
 
 /// Role of the chunks of volumes, the coarsest first.
 pub const TRANSFER: &str = "transfer";

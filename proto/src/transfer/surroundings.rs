@@ -7,8 +7,9 @@ use glam::{Mat3, Vec3, Vec4};
 use crate::harmonics::relight_direction;
 use crate::voxels::{Seen, Start, WalkLight, nearest_of_sky, walk};
 
-/// Walks of each part of the sphere. More → lamps of their own size and energy, time in proportion.
-pub const WALKS_OF_PART: u32 = 16;
+/// Walks of each part of the sphere from a viewpoint. More → small bright things have their own energy, time in proportion; many viewpoints tell
+/// more than many walks.
+pub const WALKS_OF_PART: u32 = 4;
 
 /// Share of walks that meet backs above which a viewpoint lies in geometry.
 const BACKS_MAX: f32 = 0.25;

@@ -133,9 +133,14 @@ impl TransferTable {
 
     /// Radiance that each part may hide, by level: of the surroundings as its mean place sees them.
     pub fn hidden(&self, viewpoints: &Viewpoints) -> Vec<Vec<Hidden>> {
-        let seen: Vec<Hidden> = viewpoints.seen().map(Hidden::of).collect();
-        let of_part =
-            |part: &TransferPart| Hidden::mixed(seen.iter().zip(viewpoints.weights(part.middle_m.into())));
+        let seen: Vec<Option<Hidden>> =
+            viewpoints.seen().iter().map(|seen| seen.as_ref().map(Hidden::of)).collect();
+        let of_part = |part: &TransferPart| {
+            let weighted = seen.iter().zip(viewpoints.weights(part.middle_m.into()));
+            Hidden::mixed(
+                weighted.filter_map(|(seen, weight)| seen.as_ref().zip((weight > 0.0).then_some(weight))),
+            )
+        };
         self.levels.iter().map(|(level, _)| level.parts.iter().map(of_part).collect()).collect()
     }
 

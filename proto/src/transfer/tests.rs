@@ -141,7 +141,9 @@ fn ball_gives_its_form_factor_and_takes_what_it_hides() {
     );
     let radiance = |light: f32| Arc::new(table.radiance(&[] as &[Vec4], &[Vec3::splat(light)]));
     let [black, white] = [black, white].map(|around| {
-        Arc::new(table.hidden(&Viewpoints::new([[0.0; 3], [1.0; 3]], false, |_| Some(around.clone()))))
+        Arc::new(table.hidden(&Viewpoints::new(ViewpointLattice::new([[0.0; 3], [1.0; 3]], 0.1), |_| {
+            Some(around.clone())
+        })))
     });
     let standing =
         |light, hidden: &Arc<Vec<Vec<Hidden>>>| Standing::new(&table, place, radiance(light), hidden.clone());
@@ -225,7 +227,9 @@ fn turned_and_scaled_with_all_around_it_it_changes_as_much() {
         Surroundings::new(64, |direction| Vec3::new(1.0 + direction.x, 1.0, 0.5 - 0.5 * direction.z));
     let radiance = Arc::new(table.radiance(&[] as &[Vec4], &[Vec3::new(0.5, 2.0, 0.0)]));
     let hidden =
-        Arc::new(table.hidden(&Viewpoints::new([[0.0; 3], [1.0; 3]], false, |_| Some(around.clone()))));
+        Arc::new(table.hidden(&Viewpoints::new(ViewpointLattice::new([[0.0; 3], [1.0; 3]], 0.1), |_| {
+            Some(around.clone())
+        })));
     let first = Affine3A::from_translation(Vec3::new(0.3, -0.2, 5.0));
     let moved = Affine3A::from_scale_rotation_translation(
         Vec3::splat(3.5),
@@ -284,19 +288,28 @@ fn nearer_ball_hides_what_it_covers() {
 fn viewpoints_in_geometry_count_no_more() {
     let look = |at_m: Vec3| (at_m.y > 0.0).then(|| Surroundings::new(64, |_| at_m));
     let rug = [[-1.0, 0.0, -0.5], [1.0, 0.0, 0.5]];
-    let viewpoints = Viewpoints::new(rug, true, look);
-    assert_eq!(viewpoints.seen().count(), 4);
+    let lattice = ViewpointLattice::new(rug, 1.0);
+    assert_eq!((lattice.counts.to_array(), lattice.count()), ([4, 2, 4], 32));
+    let viewpoints = Viewpoints::new(lattice, look);
+    assert_eq!(viewpoints.seen().iter().flatten().count(), 16);
     for at_m in [Vec3::ZERO, Vec3::new(0.9, 0.0, 0.2), Vec3::new(-3.0, -1.0, 0.0)] {
         let weights = viewpoints.weights(at_m);
-        assert!(weights.len() == 4 && (weights.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{weights:?}");
-        let seen = viewpoints.seen().map(Hidden::of).collect::<Vec<_>>();
-        let seen = Hidden::mixed(seen.iter().zip(weights)).mean(Vec3::X, 3.0);
-        let wanted = at_m.clamp(Vec3::new(-0.9, 0.05, -0.45), Vec3::new(0.9, 0.05, 0.45));
+        assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{weights:?}");
+        let there = viewpoints
+            .seen()
+            .iter()
+            .zip(&weights)
+            .filter_map(|(seen, weight)| Some((Hidden::of(seen.as_ref()?), *weight)));
+        let there: Vec<(Hidden, f32)> = there.collect();
+        let seen = Hidden::mixed(there.iter().map(|(seen, weight)| (seen, *weight))).mean(Vec3::X, 3.0);
+        let wanted = at_m.clamp(Vec3::new(-0.97, 0.05, -0.485), Vec3::new(0.97, 0.05, 0.485));
         let off = if at_m.y < 0.0 { 0.2 } else { 1e-4 };
         assert!(seen.distance(wanted) < off, "{seen} {wanted}");
     }
-    let none = Viewpoints::new(rug, true, |_| None);
-    assert!(none.weights(Vec3::ZERO).is_empty() && none.seen().next().is_none());
+    let none = Viewpoints::new(lattice, |_| None);
+    assert!(none.weights(Vec3::ZERO).iter().all(|weight| *weight == 0.0));
+    // A thing of a decimetre has its corners.
+    assert_eq!(ViewpointLattice::new(rug, 0.05).counts.to_array(), [2; 3]);
 }
 
 /// Nodes that no point of a level reads do not coarsen its steps; all that are read come back within half a step.

@@ -1,79 +1,109 @@
 //! Points of an object from which its surroundings are looked at.
 
-use glam::Vec3;
+use glam::{UVec3, Vec3};
 
 use super::surroundings::Surroundings;
 
-/// Share of an object's bounds at whose corners light is looked for.
-const WITHIN: f32 = 0.9;
+/// Most viewpoints along an axis. More → light of what is near falls on the right part of an object, time with its cube.
+pub const VIEWPOINTS_A_SIDE: u32 = 4;
+/// Least distance of viewpoints in metres: nearer ones see the same.
+const SPACING_M: f32 = 0.3;
+/// Share of an object's bounds over which they stand.
+const WITHIN: f32 = 0.97;
 /// Least distance of a corner from the middle along an axis, in halves of the object's largest side: the viewpoints of a rug lie off the floor.
 const FLAT: f32 = 0.05;
-
 /// Least share of the way along an axis where those that are nearer see nothing.
-const ASIDE: f32 = 0.1;
+const ASIDE: f32 = 0.02;
+/// Least sum of the weights of those that see something; below it the others around count.
+const TOTAL_MIN: f32 = 1e-3;
 
-/// Surroundings as an object's viewpoints see them: its middle alone, or the corners of its bounds where it is so long that they differ.
+/// Viewpoints of an object, a lattice over its bounds in its own space.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ViewpointLattice {
+    /// Middle.
+    pub middle_m: Vec3,
+    /// From the middle to a corner.
+    pub half_m: Vec3,
+    /// Viewpoints along each axis, two at least.
+    pub counts: UVec3,
+}
+
+/// Surroundings as an object's viewpoints see them.
 #[derive(Clone, Debug, Default)]
 pub struct Viewpoints {
-    middle_m: Vec3,
-    /// From the middle to a corner.
-    half_m: Vec3,
+    lattice: ViewpointLattice,
     /// Of each; none of one that lies in geometry or behind a wall.
     seen: Vec<Option<Surroundings>>,
 }
 
-/// Middle of an object's viewpoints, and the way from there to a corner.
-pub fn viewpoint_bounds(box_m: [[f32; 3]; 2]) -> [Vec3; 2] {
-    let [low, high] = box_m.map(Vec3::from);
-    let least_m = 0.5 * FLAT * (high - low).max_element();
-    [0.5 * (low + high), (0.5 * WITHIN * (high - low)).max(Vec3::splat(least_m))]
-}
+impl ViewpointLattice {
+    /// Of an object of such bounds in its own space, whose size is scaled: as many as its sides ask for.
+    pub fn new(box_m: [[f32; 3]; 2], scale: f32) -> Self {
+        let corners = Self::of_corners(box_m);
+        let spaces = (2.0 * scale / SPACING_M * corners.half_m).as_uvec3();
+        Self { counts: (spaces + 1).clamp(UVec3::splat(2), UVec3::splat(VIEWPOINTS_A_SIDE)), ..corners }
+    }
 
-/// Viewpoints of an object of such bounds in its own space: the middle, or corners.
-pub fn viewpoint_places(box_m: [[f32; 3]; 2], are_corners_seen: bool) -> Vec<Vec3> {
-    let [middle_m, half_m] = viewpoint_bounds(box_m);
-    let sign = |corner: u32, axis: u32| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
-    let at = |corner: u32| middle_m + half_m * Vec3::new(sign(corner, 0), sign(corner, 1), sign(corner, 2));
-    if are_corners_seen { (0..8).map(at).collect() } else { vec![middle_m] }
+    /// The corners alone.
+    pub fn of_corners(box_m: [[f32; 3]; 2]) -> Self {
+        let [low, high] = box_m.map(Vec3::from);
+        let least_m = 0.5 * FLAT * (high - low).max_element();
+        let half_m = (0.5 * WITHIN * (high - low)).max(Vec3::splat(least_m));
+        Self { middle_m: 0.5 * (low + high), half_m, counts: UVec3::splat(2) }
+    }
+
+    /// Places, x fastest.
+    pub fn places(&self) -> impl Iterator<Item = Vec3> {
+        let Self { middle_m, half_m, counts } = *self;
+        self.steps().map(move |step| middle_m + half_m * (2.0 * step / (counts - 1).as_vec3() - 1.0))
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.counts.element_product() as usize
+    }
+
+    fn steps(&self) -> impl Iterator<Item = Vec3> {
+        let counts = self.counts;
+        (0..counts.element_product())
+            .map(move |index| {
+                UVec3::new(index % counts.x, index / counts.x % counts.y, index / (counts.x * counts.y))
+            })
+            .map(|step| step.as_vec3())
+    }
+
+    /// Weight of each at a place: trilinear between those that are there.
+    fn weights(&self, at_m: Vec3, is_there: impl Fn(usize) -> bool) -> Vec<f32> {
+        let share = (0.5 + 0.5 * (at_m - self.middle_m) / self.half_m).clamp(Vec3::ZERO, Vec3::ONE);
+        let at = share * (self.counts - 1).as_vec3();
+        let of = |least: f32| -> Vec<f32> {
+            let weight = |(index, step): (usize, Vec3)| {
+                let along = (1.0 - (at - step).abs()).max(Vec3::splat(least));
+                if is_there(index) { along.element_product() } else { 0.0 }
+            };
+            self.steps().enumerate().map(weight).collect()
+        };
+        let exact = of(0.0);
+        // Beside those that see nothing, the nearest others count.
+        let weights = if exact.iter().sum::<f32>() < TOTAL_MIN { of(ASIDE) } else { exact };
+        let total = weights.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+        weights.into_iter().map(|weight| weight / total).collect()
+    }
 }
 
 impl Viewpoints {
-    /// Of an object of such bounds in its own space; `look` gives what is seen from a point of it, reached from its middle.
-    pub fn new(
-        box_m: [[f32; 3]; 2],
-        are_corners_seen: bool,
-        look: impl Fn(Vec3) -> Option<Surroundings>,
-    ) -> Self {
-        let [middle_m, half_m] = viewpoint_bounds(box_m);
-        let places = viewpoint_places(box_m, are_corners_seen);
-        let seen = places.into_iter().map(look).collect();
-        Self { middle_m, half_m, seen }
+    /// Of a lattice; `look` gives what is seen from a point of it.
+    pub fn new(lattice: ViewpointLattice, look: impl Fn(Vec3) -> Option<Surroundings>) -> Self {
+        Self { lattice, seen: lattice.places().map(look).collect() }
     }
 
-    /// Those that see something.
-    pub fn seen(&self) -> impl Iterator<Item = &Surroundings> {
-        self.seen.iter().flatten()
+    /// What each sees, none where it sees nothing.
+    pub fn seen(&self) -> &[Option<Surroundings>] {
+        &self.seen
     }
 
-    /// Weight of each of those that see something, at a place of the object: trilinear between corners.
+    /// Weight of each at a place of the object; all 0 where none sees anything.
     pub fn weights(&self, at_m: Vec3) -> Vec<f32> {
-        if self.seen.len() != 8 {
-            return vec![1.0; self.seen().count()];
-        }
-        let share = (0.5 + 0.5 * (at_m - self.middle_m) / self.half_m).clamp(Vec3::ZERO, Vec3::ONE);
-        let weights_of = |least: f32| -> Vec<f32> {
-            let along = |corner: usize, axis: usize| {
-                let share = if corner >> axis & 1 == 1 { share[axis] } else { 1.0 - share[axis] };
-                share.max(least)
-            };
-            let is_there = |corner: &usize| self.seen[*corner].is_some();
-            let of = |corner: usize| (0..3).map(|axis| along(corner, axis)).product::<f32>();
-            let weights: Vec<f32> = (0..8).filter(is_there).map(of).collect();
-            let total: f32 = weights.iter().sum();
-            if total < 1e-3 { Vec::new() } else { weights.iter().map(|weight| weight / total).collect() }
-        };
-        let exact = weights_of(0.0);
-        // Beside corners that see nothing, the nearest others count.
-        if exact.is_empty() { weights_of(ASIDE) } else { exact }
+        self.lattice.weights(at_m, |index| self.seen[index].is_some())
     }
 }

@@ -4,7 +4,7 @@
 // Radiance that walks meet, viewpoint after viewpoint; w is 1 of those that end at a back.
 @group(1) @binding(1) var<storage, read_write> met: array<vec4f>;
 // Directions of walks, and the part of the sphere that each is of.
-@group(1) @binding(2) var<uniform> directions: array<vec4f, 1024>;
+@group(1) @binding(2) var<uniform> directions: array<vec4f, 256>;
 
 // Share of an emitter for which no points stand.
 fn left_of(emitter: f32) -> f32 {
@@ -23,12 +23,12 @@ fn look(@builtin(global_invocation_id) thread: vec3u) {
         return;
     }
     let viewpoint = thread.x / viewpoints.walks;
-    if (viewpoints.open >> viewpoint & 1u) == 0u {
+    if (viewpoints.open[viewpoint / 32u] >> (viewpoint % 32u) & 1u) == 0u {
         met[thread.x] = vec4f(0.0, 0.0, 0.0, 1.0);
         return;
     }
-    let corner = select(-viewpoints.half_m, viewpoints.half_m, corner_of(viewpoint));
-    let own = vec4f(viewpoints.middle_m + select(corner, vec3f(0.0), viewpoints.count == 1u), 1.0);
+    let along = 2.0 * step_of(viewpoint) / vec3f(viewpoints.counts - 1u) - 1.0;
+    let own = vec4f(viewpoints.middle_m + viewpoints.half_m * along, 1.0);
     let at = vec3f(dot(viewpoints.rows[0], own), dot(viewpoints.rows[1], own), dot(viewpoints.rows[2], own));
     let local = directions[thread.x % viewpoints.walks].xyz;
     let direction = normalize(vec3f(dot(viewpoints.rows[0].xyz, local), dot(viewpoints.rows[1].xyz, local), dot(viewpoints.rows[2].xyz, local)));

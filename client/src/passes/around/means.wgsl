@@ -3,7 +3,7 @@
 
 @group(0) @binding(0) var<uniform> viewpoints: Viewpoints;
 @group(0) @binding(1) var<storage, read> met: array<vec4f>;
-@group(0) @binding(2) var<uniform> directions: array<vec4f, 1024>;
+@group(0) @binding(2) var<uniform> directions: array<vec4f, 256>;
 // 1 of a viewpoint that sees something.
 @group(0) @binding(3) var<storage, read_write> present: array<u32>;
 // Radiance of parts of the sphere, viewpoint after viewpoint.

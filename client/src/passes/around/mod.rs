@@ -5,8 +5,8 @@ mod mix;
 
 use glam::{Affine3A, Vec3, Vec4};
 use lightkiln_proto::transfer::{
-    HIDDEN_WIDTHS, TransferTable, WALKS_OF_PART, directions_of_walks, hidden_axes, hidden_cosine,
-    tangent_of_walks, viewpoint_bounds,
+    HIDDEN_WIDTHS, TransferTable, VIEWPOINTS_A_SIDE, ViewpointLattice, WALKS_OF_PART, directions_of_walks,
+    hidden_axes, hidden_cosine, tangent_of_walks,
 };
 use wgpu::ShaderStages as Stages;
 
@@ -37,9 +37,9 @@ pub const MIX_SHADER: &str =
 /// Threads of a workgroup in the shaders.
 const THREADS: u32 = 64;
 /// Most viewpoints.
-pub const VIEWPOINTS_MAX: u32 = 8;
+const VIEWPOINTS_MAX: u32 = VIEWPOINTS_A_SIDE.pow(3);
 /// Most walks of a viewpoint.
-const WALKS_MAX: u32 = 1024;
+const WALKS_MAX: u32 = 256;
 
 /// Numbers of an object's viewpoints; twin of `Viewpoints` in the shaders.
 #[repr(C)]
@@ -49,16 +49,18 @@ pub struct ViewpointNumbers {
     pub rows: [[f32; 4]; 3],
     /// Middle of its bounds.
     pub middle_m: [f32; 3],
-    /// 1, the middle; or 8, corners.
+    /// How many there are.
     pub count: u32,
     /// From the middle to a corner.
     pub half_m: [f32; 3],
-    /// A bit of each to which nothing is in the way from the middle.
-    pub open: u32,
     /// Walks of each.
     pub walks: u32,
+    /// Viewpoints along each axis.
+    pub counts: [u32; 3],
     /// Parts of the sphere around.
     pub parts: u32,
+    /// A bit of each to which nothing is in the way from the middle.
+    pub open: [u32; 2],
     /// Tangent of the half angle of walks.
     pub tangent: f32,
     /// Parts of the volume.
@@ -129,15 +131,16 @@ impl AroundPass {
                 format!("objects know at most {} parts of the sphere around them", WALKS_MAX / WALKS_OF_PART);
             return Err(ClientError::Adapter { problem });
         }
-        let [middle_m, half_m] = viewpoint_bounds(volume.box_m()).map(<[f32; 3]>::from);
+        let lattice = ViewpointLattice::of_corners(volume.box_m());
         let own = ViewpointNumbers {
             rows: rows_of(&Affine3A::IDENTITY),
-            middle_m,
-            count: 1,
-            half_m,
-            open: 1,
+            middle_m: lattice.middle_m.into(),
+            count: lattice.count() as u32,
+            half_m: lattice.half_m.into(),
             walks: count,
+            counts: lattice.counts.into(),
             parts: sky_parts,
+            open: [0; 2],
             tangent: tangent_of_walks(sky_parts),
             part_count: volume.levels().map(|(level, _)| level.parts.len() as u32).sum(),
             first_light: table.first_light_of(mover),
@@ -204,32 +207,27 @@ impl AroundPass {
         Ok(Self { own, viewpoints, present, around, look, means, parts })
     }
 
-    /// Writes where the object stands, how many viewpoints it has, and to which nothing is in the way; and of each emitter the share for which
-    /// points stand.
+    /// Writes where the object stands, its viewpoints, and to which nothing is in the way; and of each emitter the share for which points stand.
     pub fn set(
         &mut self,
         gpu: &Gpu,
         world_from_object: &Affine3A,
-        (count, open): (u32, u32),
+        (lattice, is_open): (&ViewpointLattice, impl Fn(Vec3) -> bool),
         shares: &[f32],
     ) {
+        let mut open = [0; 2];
+        for (viewpoint, at_m) in lattice.places().enumerate() {
+            open[viewpoint / 32] |= u32::from(is_open(at_m)) << (viewpoint % 32);
+        }
         let mut pointed = [[0.0; 4]; EMITTER_POINTS];
         let of_points = (0..).zip(shares).filter(|(_, share)| **share > 0.0);
         for (row, (emitter, share)) in pointed.iter_mut().zip(of_points) {
             *row = [emitter as f32, *share, 0.0, 0.0];
         }
-        self.own = ViewpointNumbers { rows: rows_of(world_from_object), count, open, pointed, ..self.own };
+        let (count, counts) = (lattice.count() as u32, lattice.counts.into());
+        self.own =
+            ViewpointNumbers { rows: rows_of(world_from_object), count, counts, open, pointed, ..self.own };
         gpu.write(&self.viewpoints, &[self.own]);
-    }
-
-    /// Viewpoints.
-    pub fn count(&self) -> u32 {
-        self.own.count
-    }
-
-    /// Parts of the sphere around.
-    pub fn sky_parts(&self) -> u32 {
-        self.own.parts
     }
 
     /// Records walks and their means, of λ as it is.

@@ -40,8 +40,12 @@ fn light_parts(@builtin(global_invocation_id) thread: vec3u) {
             sum += shares[at].share * lambda[shares[at].place].rgb;
         }
     } else {
+        let weighing = weighing_at(part.middle_m);
         for (var viewpoint = 0u; viewpoint < viewpoints.count; viewpoint++) {
-            sum += weight_of(viewpoint, part.middle_m) * over_caps[viewpoint * CAPS + number - 1u].rgb;
+            let weight = weight_of(viewpoint, part.middle_m, weighing);
+            if weight > 0.0 {
+                sum += weight * over_caps[viewpoint * CAPS + number - 1u].rgb;
+            }
         }
     }
     part_light[viewpoints.first_light + thread.x] = vec4f(sum, 0.0);

@@ -4,15 +4,17 @@ struct Viewpoints {
     // Rows of the map from the object's space to the world.
     rows: array<vec4f, 3>,
     middle_m: vec3f,
-    // 1, the middle; or 8, corners.
     count: u32,
     // From the middle to a corner.
     half_m: vec3f,
-    // A bit of each to which nothing is in the way from the middle.
-    open: u32,
+    // Walks of each.
     walks: u32,
+    // Viewpoints along each axis.
+    counts: vec3u,
     // Parts of the sphere around.
     parts: u32,
+    // A bit of each to which nothing is in the way from the middle.
+    open: vec2u,
     // Tangent of the half angle of walks.
     tangent: f32,
     // Parts of the volume, and the first number of their light.
@@ -25,11 +27,14 @@ struct Viewpoints {
     pointed: array<vec4f, 16>,
 }
 
-const VIEWPOINTS_MAX = 8u;
 const EMITTERS_MAX = 16u;
 // Least share of the way along an axis where those that are nearer see nothing.
-const ASIDE = 0.1;
+const ASIDE = 0.02;
+// Least sum of the weights of those that see something; below it the others around count.
+const TOTAL_MIN = 1e-3;
 
-fn corner_of(viewpoint: u32) -> vec3<bool> {
-    return (vec3u(viewpoint) >> vec3u(0u, 1u, 2u) & vec3u(1u)) == vec3u(1u);
+// Steps along each axis from the first viewpoint.
+fn step_of(viewpoint: u32) -> vec3f {
+    let counts = viewpoints.counts;
+    return vec3f(vec3u(viewpoint % counts.x, viewpoint / counts.x % counts.y, viewpoint / (counts.x * counts.y)));
 }

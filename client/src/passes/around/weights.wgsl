@@ -1,23 +1,38 @@
 // Weights of viewpoints; joined behind `viewpoints.wgsl`, whoever joins it binds `viewpoints` and `present`.
 
-// Weight of a viewpoint at a place of the object: trilinear between those that see something.
-fn weight_of(viewpoint: u32, at_m: vec3f) -> f32 {
-    if viewpoints.count != VIEWPOINTS_MAX {
-        return f32(present[viewpoint]);
-    }
+// How viewpoints are weighed at a place of the object.
+struct Weighing {
+    // Least share of the way along an axis.
+    least: f32,
+    // Sum of weights.
+    total: f32,
+}
+
+// Weight of a viewpoint that sees something before all are divided by their sum.
+fn raw_weight(viewpoint: u32, at_m: vec3f, least: f32) -> f32 {
     let share = clamp(0.5 + 0.5 * (at_m - viewpoints.middle_m) / viewpoints.half_m, vec3f(0.0), vec3f(1.0));
-    for (var turn = 0u; turn < 2u; turn++) {
-        var total = 0.0;
-        var own = 0.0;
-        for (var other = 0u; other < VIEWPOINTS_MAX; other++) {
-            let along = max(select(1.0 - share, share, corner_of(other)), vec3f(select(0.0, ASIDE, turn == 1u)));
-            let weight = f32(present[other]) * along.x * along.y * along.z;
-            total += weight;
-            own += select(0.0, weight, other == viewpoint);
-        }
-        if total >= 1e-3 {
-            return own / total;
-        }
+    let at = share * vec3f(viewpoints.counts - 1u);
+    let along = max(1.0 - abs(at - step_of(viewpoint)), vec3f(least));
+    return f32(present[viewpoint]) * along.x * along.y * along.z;
+}
+
+fn total_at(at_m: vec3f, least: f32) -> f32 {
+    var total = 0.0;
+    for (var viewpoint = 0u; viewpoint < viewpoints.count; viewpoint++) {
+        total += raw_weight(viewpoint, at_m, least);
     }
-    return 0.0;
+    return total;
+}
+
+// Trilinear between those that see something; beside others, the nearest of them.
+fn weighing_at(at_m: vec3f) -> Weighing {
+    let exact = total_at(at_m, 0.0);
+    if exact >= TOTAL_MIN {
+        return Weighing(0.0, exact);
+    }
+    return Weighing(ASIDE, max(total_at(at_m, ASIDE), 1e-30));
+}
+
+fn weight_of(viewpoint: u32, at_m: vec3f, weighing: Weighing) -> f32 {
+    return raw_weight(viewpoint, at_m, weighing.least) / weighing.total;
 }
