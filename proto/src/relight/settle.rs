@@ -16,7 +16,7 @@ pub struct Incoming<'a> {
     pub sky: Sky,
     /// A panorama on top of it.
     pub panorama: Option<&'a Panorama>,
-    /// Irradiance at receivers by slot, W·m⁻², of what is around in place of the sky: [`Transport::under`].
+    /// Irradiance at receivers by slot, W·m⁻², of what is around in place of the sky: what [`Transport::sky_rows`] make of it.
     pub around: Option<&'a [Vec4]>,
     /// Irradiance by slot that objects give and take, W·m⁻²; none without them.
     pub moved: Option<&'a [Vec4]>,
