@@ -97,7 +97,7 @@ impl Viewpoints {
         Self { lattice, seen: lattice.places().map(look).collect() }
     }
 
-    /// What each sees, none where it sees nothing.
+    /// Surroundings that each sees, none where it sees nothing.
     pub fn seen(&self) -> &[Option<Surroundings>] {
         &self.seen
     }

@@ -174,11 +174,6 @@ impl Posed<'_> {
         self.radius_m
     }
 
-    /// Where it stands.
-    pub fn stance(&self) -> &Stance {
-        &self.stance
-    }
-
     /// Measures under a light, the reference to such a standard error.
     pub fn measured(&self, light: &TestLight, rel_error: f64, progress: &Progress) -> Result<AmidLight> {
         let Amid { with_object, ignored, empty, alone, .. } = self.amid;

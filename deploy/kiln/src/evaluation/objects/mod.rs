@@ -150,15 +150,18 @@ pub fn evaluate(
                 ..ObjectRow::default()
             };
             say!("{} at {}: {}", row.object, row.place, row.stance);
+            let draws = wanted
+                .draws
+                .as_ref()
+                .map(|(camera, size)| (camera.clone().unwrap_or_else(|| camera_towards(&posed)), *size));
             for light in &chosen.lights {
                 if interrupt.is_raised() {
                     return Err(Failure::new(Exit::Interrupted, "the evaluation was interrupted"));
                 }
                 say!("{}: {}", light.name, light.words);
                 row.add(light, posed.measured(light, wanted.arguments.rel_error, &progress)?);
-                if let Some((camera, size)) = &wanted.draws {
-                    let camera = camera.clone().unwrap_or_else(|| camera_towards(&posed));
-                    row.strips.push(posed.strip(light, &camera, *size, &progress)?);
+                if let Some((camera, size)) = &draws {
+                    row.strips.push(posed.strip(light, camera, *size, &progress)?);
                 }
             }
             row.sum_up()?;
